@@ -114,6 +114,7 @@ class FakeLink:
 
     Attributes:
         sent: what the loop has sent.
+        told: what it has published beside that: topic, data, publish time.
         robot: the robot's LowState, which the loop receives at every tick. It stands upright, and
             its accelerometer has noise: a robot that always measures the same is frozen.
         silent: the robot publishes nothing but by `publish_state`.
@@ -129,6 +130,7 @@ class FakeLink:
 
     def __init__(self, clock: FakeClock) -> None:
         self.sent: list[Sent] = []
+        self.told: list[tuple[Topic, bytes, int]] = []
         self.robot = LowState()
         self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
         self.robot.mode_machine[()] = MODE_MACHINE_29
@@ -177,6 +179,9 @@ class FakeLink:
         self.sent.append(sent)
         self.on_send(len(self.sent) - 1)
         return self._clock.now()
+
+    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
+        self.told.append((topic, data, stamp))
 
     def unready(self) -> str:
         return self.waits_for

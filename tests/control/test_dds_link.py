@@ -1,12 +1,22 @@
 """Over real DDS: no LowState goes uncounted, and what the guard process sends is sent."""
 
+import time
+
 import pytest
 
 from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import IDLE, AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState, Reference
+from g1stream.dds.messages import (
+    LOWCMD,
+    LOWSTATE,
+    POLICY,
+    LowCmd,
+    LowState,
+    PolicyStep,
+    Reference,
+)
 
 
 @pytest.fixture
@@ -102,6 +112,32 @@ def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, mon
     monkeypatch.setattr(RawWriter, "write", interrupted)
     link.send(STIFF, Reference().tobytes(), 1)
     assert commands(2) == [STIFF, DAMPING]
+
+
+def test_a_state_has_its_publish_time_and_when_it_was_received(ends, until):
+    link, writer = ends
+    state, message = LowState(), LowState()
+    assert (state.published, state.received) == (0, 0)
+    before = time.time_ns()
+    writer.write(message.seal(), before - 5_000_000)
+    until(lambda: link.receive(state), "a state")
+    assert state.published == before - 5_000_000
+    assert before < state.received <= time.time_ns()
+
+
+def test_what_a_source_tells_is_published_with_the_time_of_the_command(domain_id, until):
+    steps = [PolicyStep() for _ in range(3)]
+    for i, step in enumerate(steps):
+        step.step[()], step.observation[1023] = i, i
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link, reader = DdsLink(ours, told=POLICY), RawReader(theirs, POLICY, depth=10)
+        until(lambda: reader.matched, "a match")
+        for i, step in enumerate(steps):
+            link.tell(POLICY, step.tobytes(), 1000 + i // 2)
+        arrived = []
+        until(lambda: arrived.extend(reader.take()) or len(arrived) == 3, "all steps")
+    assert [one.data for one in arrived] == [step.tobytes() for step in steps]
+    assert [one.publish_time for one in arrived] == [1000, 1000, 1001]
 
 
 def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not(domain_id, until):

@@ -14,6 +14,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.sources import SOURCES, HeldTorques, Source
+from g1stream.dds.messages import POLICY
 from g1stream.errors import ConfigError, MotionError
 from g1stream.types import Phase
 
@@ -48,10 +49,29 @@ class Policy(Source):
         return moment.target._replace(q=self._q, dq=np.zeros(29))
 
 
+class Telling(Policy):
+    """It tells the tick of each command."""
+
+    tells = POLICY
+
+    def __init__(self, *about, **more):
+        super().__init__(*about, **more)
+        self.ticks, self._told = [], b""
+
+    def command(self, moment):
+        self._told = moment.tick.to_bytes(4, "little")
+        self.ticks.append(moment.tick)
+        return super().command(moment)
+
+    def told(self):
+        told, self._told = self._told, b""
+        return told
+
+
 @pytest.fixture
-def policy(monkeypatch):
+def policy(monkeypatch, request):
     module = ModuleType("g1stream.extras.made")
-    module.Policy = Policy
+    module.Policy = getattr(request, "param", Policy)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.made:Policy")
 
@@ -72,6 +92,57 @@ def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion,
     assert planned.source.computed.count(Phase.PLAY) == len(playing) / 10
     phases = [phase for phase, _ in planned.source.seen]
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
+
+
+def told_by(link):
+    """The ticks of what was told, each beside the tick of the command with its publish time."""
+    ticks = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
+    assert {topic for topic, _, _ in link.told} == {POLICY}
+    return [(int.from_bytes(data, "little"), ticks.get(stamp)) for _, data, stamp in link.told]
+
+
+@pytest.mark.parametrize("policy", [Telling], indirect=True)
+@pytest.mark.usefixtures("policy")
+def test_what_a_source_tells_is_published_with_the_command_that_it_is_of(link, clock, motion):
+    planned = plan(motion, CONFIG)
+    make_loop(planned, link, clock).run()
+    told = told_by(link)
+    assert [tick for tick, _ in told] == planned.source.ticks
+    assert all(tick == beside for tick, beside in told)
+    assert planned.source.ticks == list(range(len(told)))
+
+
+@pytest.mark.parametrize("policy", [Telling], indirect=True)
+@pytest.mark.usefixtures("policy")
+def test_what_is_told_of_a_command_that_is_replaced_comes_with_the_next_one(link, clock, motion):
+    planned = plan(motion, CONFIG)
+    for n in range(20, 240, 7):  # these ticks are skipped
+        clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
+    report = make_loop(planned, link, clock, settle=0).run()
+    assert report.skipped == 32
+    told = told_by(link)
+    assert [tick for tick, _ in told] == planned.source.ticks
+    assert len({*planned.source.ticks}) == len(told) - 32
+    assert all(tick == beside for tick, beside in told)
+
+
+@pytest.mark.parametrize("policy", [Telling], indirect=True)
+@pytest.mark.usefixtures("policy")
+def test_nothing_is_told_of_a_command_that_could_not_be_written(link, clock, motion, monkeypatch):
+    planned, send, refused = plan(motion, CONFIG), link.send, []
+
+    def refusing(command, reference, stamp):
+        if len(link.sent) in (100, 150) and len(link.sent) not in refused:
+            refused.append(len(link.sent))
+            return 0
+        return send(command, reference, stamp)
+
+    monkeypatch.setattr(link, "send", refusing)
+    make_loop(planned, link, clock).run()
+    told = told_by(link)
+    assert refused == [100, 150]
+    assert [tick for tick, _ in told] == planned.source.ticks
+    assert None not in [beside for _, beside in told]
 
 
 @pytest.mark.usefixtures("policy")

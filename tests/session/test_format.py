@@ -71,7 +71,7 @@ def test_encodings_are_mcaps_well_known_ones(channel):
     pair = (channel.schema_encoding, channel.message_encoding)
     if channel.schema_name.startswith("foxglove."):
         assert pair == (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
-    elif channel.topic.startswith("/timing/"):
+    elif channel.topic.startswith("/timing/") or channel.topic == "/policy/terms":
         assert pair == (SchemaEncoding.JSONSchema, MessageEncoding.JSON)
     else:
         assert pair == (SchemaEncoding.ROS2, MessageEncoding.CDR)
@@ -86,6 +86,7 @@ def test_wire_channels_are_named_as_ros_names_them():
         "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),
         "rt/secondary_imu": ("/secondary_imu", "unitree_hg/msg/IMUState"),
         "rt/g1stream/reference": ("/reference", "g1stream/msg/Reference"),
+        "rt/g1stream/policy": ("/policy", "g1stream/msg/Policy"),
     }
 
 

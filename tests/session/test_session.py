@@ -12,6 +12,7 @@ from g1stream.dds.messages import (
     ARM_SDK,
     LOWCMD,
     LOWSTATE,
+    POLICY,
     REFERENCE,
     SECONDARY_IMU,
     SPORTMODESTATE,
@@ -179,6 +180,7 @@ TOPICS = {
     "/lowcmd": LOWCMD,
     "/lowstate": LOWSTATE,
     "/reference": REFERENCE,
+    "/policy": POLICY,
     "/sportmodestate": SPORTMODESTATE,
     "/secondary_imu": SECONDARY_IMU,
 }

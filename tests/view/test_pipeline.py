@@ -11,10 +11,21 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
 
 from g1stream.config import RecordConfig
-from g1stream.dds.messages import LOG, LOWSTATE, REFERENCE, Batch, Log, LowState, Reference
+from g1stream.dds.messages import (
+    LOG,
+    LOWSTATE,
+    POLICY,
+    REFERENCE,
+    Batch,
+    Log,
+    LowState,
+    PolicyStep,
+    Reference,
+)
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
+from g1stream.session.records import PolicyInfo
 from g1stream.view.pipeline import Decimator, MessagePipeline
 
 T0 = 1_700_000_000_000_000_000
@@ -41,6 +52,29 @@ def batches_of(times):
 
 def make_pipeline(channels):
     return MessagePipeline(G1.default(), RecordConfig(channels=channels))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_steps_of_a_policy_have_the_names_of_its_terms(known):
+    contract = {"terms": [{"name": "gravity", "size": 3}, {"name": "dq", "size": 2}]}
+    info = PolicyInfo(contract=contract) if known else None
+    pipeline = MessagePipeline(G1.default(), RecordConfig(), info)
+    step, times = PolicyStep(), [T0, T0 + 20_000_000]
+    step.n_observation[()], step.observation[:5] = 5, [0.1, -2.0, np.nan, 3.0, 1e-9]
+    step.action[:] = np.arange(29)
+    step.state_published[()], step.inference_time[()] = T0 - 1_500_000, 4e-5
+    made = pipeline.encode({POLICY.name: batch(step, times, step=7, repeated=2)})
+    (messages,) = made
+    assert messages.topic == "/policy/terms"
+    assert messages.publish_times.tolist() == times
+    rows = [json.loads(one) for one in messages.payloads]
+    assert [row["delay_ms"] for row in rows] == [1.5, 21.5]
+    values = [0.1, -2.0, None, 3.0, 0.0]
+    terms = {"gravity": values[:3], "dq": values[3:]}
+    assert rows[0]["observation"] == (terms if known else {"values": values})
+    assert rows[0]["action"] == dict(zip(G1.default().joint_names, range(29), strict=True))
+    assert (rows[0]["step"], rows[0]["repeated"], rows[0]["inference_ms"]) == (7, 2, 0.04)
+    assert make_pipeline("raw").encode({POLICY.name: batch(step, times)}) == []
 
 
 TIMES = [T0 + 2_000_000 * i for i in range(50)]

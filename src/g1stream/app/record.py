@@ -18,7 +18,7 @@ from g1stream.analysis.summary import Summary
 from g1stream.child_process import Parent, publishing_for_ros2, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.dds.messages import COMMANDS, REFERENCE
+from g1stream.dds.messages import COMMANDS, POLICY, REFERENCE
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
@@ -28,7 +28,7 @@ from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.parts import remove_recording
 from g1stream.session.records import RecorderSummary, SessionInfo
-from g1stream.session.writer import SessionWriter, attach_motion
+from g1stream.session.writer import SessionWriter, attach_motion, attach_policy
 from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["record"]
@@ -82,7 +82,9 @@ def record(
     path = Path(path)
     if settings.auto_name and session is None:
         path = timestamped(path, time.time_ns())
-    pipeline = MessagePipeline(robot, settings)  # before there is a file: may refuse
+    pipeline = MessagePipeline(
+        robot, settings, session.policy if session else None
+    )  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     size, duration = settings.split_size, settings.split_duration
 
@@ -90,6 +92,7 @@ def record(
         writer.add_metadata(about)
         writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
         writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
+        attach_policy(writer, session.policy if session else None, now)
         attach_motion(writer, session.motion if session else None, now)
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
@@ -153,10 +156,10 @@ def _close(
 def _wait_for_stream(recorder: Recorder, config: Config, should_stop: Callable[[], bool]) -> bool:
     """Wait until the stream's publishers are matched; False if told to stop before."""
     end = time.monotonic() + _MATCH_TIMEOUT
-    commands = COMMANDS[config.stream.via]
+    wanted = [COMMANDS[config.stream.via], REFERENCE, *([POLICY] if config.stream.policy else [])]
     while not should_stop():
         matched = recorder.matched()
-        absent = [topic.name for topic in (commands, REFERENCE) if not matched[topic.name]]
+        absent = [topic.name for topic in wanted if not matched[topic.name]]
         if not absent:
             return True
         if time.monotonic() >= end:

@@ -24,7 +24,7 @@ from g1stream.motion.motion import Motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
-from g1stream.session.writer import attach_motion
+from g1stream.session.writer import attach_motion, attach_policy
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.types import FeedForwardKind, StreamSupport, Support
@@ -92,7 +92,7 @@ def rollout(
     config = _resolve(config, support, feedforward, seconds, joints)
     planned = plan(motion, config, simulated=True)
     robot = planned.robot
-    pipeline = MessagePipeline(robot, config.record)
+    pipeline = MessagePipeline(robot, config.record, planned.source.about())
     simulated = SimulatedRobot(
         make_world(robot, config.sim),
         config.sim,
@@ -208,4 +208,5 @@ def _write_header(source: MemorySource, planned: Plan) -> None:
     source.attach("robot.urdf", "application/xml", planned.robot.urdf.encode(), EPOCH)
     settings = planned.config.model_dump_json().encode()
     source.attach("config.json", "application/json", settings, EPOCH)
+    attach_policy(source, info.policy, EPOCH)
     attach_motion(source, info.motion, EPOCH)

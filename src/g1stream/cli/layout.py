@@ -26,7 +26,8 @@ _VIEWERS: Final = {
 class Layout(Command):
     """Writes a layout file, which shows a session's robot, ghost, worst joints, torques and timing.
 
-    With a session, the six joints with the greatest error in it are plotted.
+    With a session, the six joints with the greatest error in it are plotted, and where a learned
+    policy played, its delays and actions.
 
     Examples:
       g1stream layout lichtblick session.mcap
@@ -54,12 +55,15 @@ class Layout(Command):
         from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
+        policy = False
         if self.session:
-            joints = worst_joints(open_recording(self.session), len(joints)) or joints
+            recording = open_recording(self.session)
+            joints = worst_joints(recording, len(joints)) or joints
+            policy = bool(recording.topics.get("/policy/terms"))
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:
-            content = json.dumps(foxglove_layout(joints), indent=1).encode() + b"\n"
+            content = json.dumps(foxglove_layout(joints, policy=policy), indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
         with output_errors(self.dir):

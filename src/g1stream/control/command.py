@@ -11,6 +11,7 @@ Pure: times and measurements come in as arguments.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -247,6 +248,7 @@ class Prepared(NamedTuple):
         target: before feed-forward and limits.
         due: when it is published.
         measured: the newest LowState; None before the first.
+        told: what the source tells of this command, and of those that it replaces.
     """
 
     command: bytes
@@ -254,6 +256,7 @@ class Prepared(NamedTuple):
     target: Target
     due: int
     measured: Reading | None
+    told: tuple[bytes, ...] = ()
 
 
 class NextCommand:
@@ -265,6 +268,7 @@ class NextCommand:
         feedforward: what a command carries beside the position.
         period: between commands.
         soft_start: length of damping before RAMP, so that the first commands are not stiff.
+        clock: tells the time, ns; for the source.
 
     Attributes:
         composer, feedforward: as given.
@@ -280,6 +284,7 @@ class NextCommand:
         *,
         period: int,
         soft_start: int = 0,
+        clock: Callable[[], int] = lambda: 0,
     ) -> None:
         self.composer, self.feedforward = composer, feedforward
         self.prepared: Prepared | None = None
@@ -288,6 +293,8 @@ class NextCommand:
         self._period = period
         self._soft_start = soft_start
         self._soft_until: int | None = None
+        self._clock = clock
+        self._told: tuple[bytes, ...] = ()
         self._sent = 0
         self._sent_for: int | None = None
 
@@ -337,8 +344,13 @@ class NextCommand:
             age = (now - measured.received) / 1e9
             time = (deadline - schedule.delayed) / 1e9
             ramped = schedule.ramped(deadline)
-            moment = Moment(self.phase, ramped, self.last, measured, age, time)
+            moment = Moment(
+                self.phase, ramped, self.last, measured, age, time, self._sent, self._clock
+            )
             commanded = feedforward.command(moment)
+            # Of a command that is replaced before it is sent, it is told with the next one.
+            if told := feedforward.source.told():
+                self._told = (*self._told, told)
         self.compose(due, commanded, deadline, measured)
 
     def compose(
@@ -356,11 +368,12 @@ class NextCommand:
             measured=measured,
             age=(deadline - measured.received) / 1e9 if measured else 0.0,
         )
-        self.prepared = Prepared(command, reference, due, deadline, measured)
+        self.prepared = Prepared(command, reference, due, deadline, measured, self._told)
 
     def sent(self) -> None:
         """The newest command has been sent."""
         self.composer.limits.sent()
         self._sent += 1
+        self._told = ()
         if self.prepared:
             self._sent_for = self.prepared.due

@@ -21,6 +21,8 @@ __all__ = ["END_OTHER", "DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
+#: Messages beside one command.
+_TOLD_DEPTH: Final = 8
 #: How long a second publisher of LowState is listened for, s. One that was killed is announced for
 #: some time, and publishes nothing.
 _SECOND_PUBLISHER: Final = 2.0
@@ -60,6 +62,9 @@ class Link(Protocol):
             When the LowCmd was written, ns of CLOCK_MONOTONIC; 0: it could not be.
         """
 
+    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
+        """Publish what a source tells of the LowCmd that was sent last, with its publish time."""
+
     def unready(self) -> str:
         """Why the first command has to wait, or "": for the guard process or for LowStates."""
 
@@ -76,6 +81,7 @@ class DdsLink:
         participant: whose domain to use.
         heartbeat: of the guard process; None: there is none.
         topic: of the commands: LOWCMD, or ARM_SDK.
+        told: topic of what a source tells of commands; None: it tells nothing.
     """
 
     def __init__(
@@ -83,6 +89,7 @@ class DdsLink:
         participant: Participant,
         heartbeat: Heartbeat | None = None,
         topic: Topic = LOWCMD,
+        told: Topic | None = None,
     ) -> None:
         self._participant = participant
         self._heartbeat = heartbeat
@@ -90,6 +97,7 @@ class DdsLink:
         self._commands = RawWriter(participant, topic, user_data=IDLE)
         self._idle = True
         self._references = RawWriter(participant, REFERENCE)
+        self._told = RawWriter(participant, told, depth=_TOLD_DEPTH) if told else None
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
@@ -150,6 +158,7 @@ class DdsLink:
             if self._state_turns.hear(sample.sample_info.publication_handle):
                 self._several = True
         state.load(samples[-1].data)
+        state.published, state.received = samples[-1].publish_time, time.time_ns()
         return int(samples[-1].sample_info.publication_handle)
 
     def state_publishers(self) -> list[str]:
@@ -174,6 +183,10 @@ class DdsLink:
                 self._commands.write(newer)  # the guard could not wait for the end of the write
         self._references.write(reference, stamp)
         return written
+
+    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
+        if self._told:
+            self._told.write(data, stamp)
 
     def _write(self, command: bytes, stamp: int) -> int:
         if not self._commands.write(command, stamp):

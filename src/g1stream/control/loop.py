@@ -226,6 +226,9 @@ class StreamLoop:
         written = self._link.send(prepared.command, prepared.reference, stamp)
         if not written:
             return
+        if prepared.told and (topic := self._feedforward.source.tells):
+            for data in prepared.told:
+                self._link.tell(topic, data, stamp)
         report = self.report
         self.damped = self.state.phase is Phase.DAMP
         report.lateness.add(written - deadline)
@@ -437,6 +440,7 @@ def make_loop(
             feedforward,
             period=period,
             soft_start=round(settings.soft_start * 1e9),
+            clock=clock.now,
         ),
         LowStateChecks(robot, config.safety, period, plan.held),
         Overruns(period, config.safety),

@@ -86,7 +86,9 @@ class Plan:
 
     def session_info(self) -> SessionInfo:
         """What a session file says of it before its first sample."""
-        return SessionInfo.from_config(self.config, self.robot, self.motion, self.gains._asdict())
+        return SessionInfo.from_config(
+            self.config, self.robot, self.motion, self.gains._asdict(), self.source.about()
+        )
 
     def log_events(self) -> None:
         """Log what is to be known about the motion."""

@@ -46,10 +46,13 @@ class Reading:
         mode_machine: robot type.
         received: time of reception, ns of the loop's monotonic clock.
         tick: ms of the robot's time; 0 from Unitree's Python simulator.
+        stamps: when it was published and when it was received, ns since the epoch; 0 where that is
+            not known.
         content: the numbers above as bytes.
         finite: none of them is NaN or infinite.
 
-    Torques are computed of `q`, `dq`, `tau` and `imu`; the checks need the others.
+    Torques are computed of `q`, `dq`, `tau` and `imu`; the checks need the others, but `stamps`,
+    which are for records.
     """
 
     q: NDArray[np.floating]
@@ -61,6 +64,7 @@ class Reading:
     tick: int = 0
     content: bytes = b""
     finite: bool = True
+    stamps: tuple[int, int] = (0, 0)
 
     @classmethod
     def from_low_state(cls, state: LowState, received: int) -> Reading:
@@ -76,6 +80,7 @@ class Reading:
             int(state.tick),
             values.tobytes(),
             bool(np.isfinite(values).all()),
+            (state.published, state.received),
         )
 
 

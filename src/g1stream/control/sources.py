@@ -7,6 +7,7 @@ Pure but for that.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
     from g1stream.control.gains import Gains
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Target, WayDown
+    from g1stream.dds.messages import Topic
     from g1stream.motion.motion import Motion
-    from g1stream.session.records import BalanceSummary
+    from g1stream.session.records import BalanceSummary, PolicyInfo
 
 __all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
 
@@ -53,6 +55,8 @@ class Moment(NamedTuple):
         age: s since that was received.
         time: s of the motion's clock, which goes on in HOLD, and stands still while the motion
             waits.
+        tick: number of the Reference that is published with it.
+        clock: tells the time, ns, as of `measured.received`, to measure how long something takes.
     """
 
     phase: Phase
@@ -61,6 +65,8 @@ class Moment(NamedTuple):
     measured: Reading
     age: float
     time: float = 0.0
+    tick: int = 0
+    clock: Callable[[], int] = lambda: 0
 
 
 class Source:
@@ -82,6 +88,7 @@ class Source:
         own_time: the motion keeps to the robot's time, and waits where a simulator stalls.
         reference_only: the motion is followed and not commanded, so that its limits do not matter;
             `change` returns the part of it that the settings ask for.
+        tells: topic of what it tells of its commands; None: nothing.
     """
 
     gains: Gains | None = None
@@ -92,6 +99,7 @@ class Source:
     way_down: WayDown | None = None
     own_time: bool = False
     reference_only: bool = False
+    tells: Topic | None = None
 
     @property
     def name(self) -> str | None:
@@ -157,6 +165,17 @@ class Source:
     def repeated(self, target: Target) -> Target:
         """The target of a command where nothing new can be computed, without torque."""
         return target
+
+    def told(self) -> bytes:
+        """A message on the topic that it `tells` of what was computed since the last call, or b"".
+
+        It is published with the command that was computed of it.
+        """
+        return b""
+
+    def about(self) -> PolicyInfo | None:
+        """What a session says of the policy that its targets are of."""
+        return None
 
 
 def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:

@@ -30,6 +30,7 @@ __all__ = [
     "LOG",
     "LOWCMD",
     "LOWSTATE",
+    "POLICY",
     "REFERENCE",
     "SECONDARY_IMU",
     "SPORTMODESTATE",
@@ -39,6 +40,7 @@ __all__ = [
     "LowCmd",
     "LowState",
     "Message",
+    "PolicyStep",
     "Reference",
     "Samples",
     "SecondaryImu",
@@ -157,6 +159,8 @@ class LowState(_Motors):
         vol: (29,) float32, supply of the motor, V.
         motorstate: (29,) uint32, faults of the motor, one bit each.
         wireless_remote: (40,) uint8, see `g1stream.dds.remote`.
+        published, received: int, ns since the epoch, set by who received it: its source timestamp,
+            and when it was taken; 0 where that is not known.
     """
 
     idl_type = types.LowState_
@@ -169,6 +173,7 @@ class LowState(_Motors):
 
     def __init__(self) -> None:
         super().__init__()
+        self.published = self.received = 0
         self.tick = self.view("tick")
         self.quaternion, self.gyroscope, self.accelerometer, self.rpy = (
             self.view(f"imu_state.{name}")
@@ -263,6 +268,41 @@ class Reference(Message):
         self.root_ang_vel = self.view("root_ang_vel")
         start = int(self.layout["q"].offsets[0])
         self.target = np.frombuffer(self.payload.data, np.float64, offset=start)
+
+
+class PolicyStep(Message):
+    """A step of a learned policy, topic rt/g1stream/policy; published with its first LowCmd.
+
+    Attributes:
+        tick: () uint64, of the Reference beside that LowCmd.
+        state_published, state_received: () uint64, ns since the epoch: when the LowState that was
+            observed was published, 0 where that is not known, and received.
+        state_age: () float64, s from then to the observation.
+        motion_time: () float64, s, of the reference that is observed.
+        inference_time: () float64, s in the network.
+        time_scale: () float64, simulated over real time, which velocities of the reference that is
+            observed are divided by.
+        step: () uint32, since the policy took the robot over, at 0.
+        repeated: () uint32, how often in a row the last finite action has stood in for one that is
+            not; 0 for a finite one.
+        n_observation: () uint32, how many values are observed.
+        observation: (1024,) float32, as the network takes it.
+        action: (29,) float32, as the network gave it, motor order.
+    """
+
+    idl_type = types.Policy_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tick, self.state_published, self.state_received = map(
+            self.view, ("tick", "state_published", "state_received")
+        )
+        self.state_age, self.motion_time, self.inference_time, self.time_scale = map(
+            self.view, ("state_age", "motion_time", "inference_time", "time_scale")
+        )
+        self.step, self.repeated = map(self.view, ("step", "repeated"))
+        self.n_observation = self.view("n_observation")
+        self.observation, self.action = map(self.view, ("observation", "action"))
 
 
 def played_bits(played: NDArray[np.bool_]) -> int:
@@ -385,9 +425,10 @@ LOWSTATE: Final = Topic("rt/lowstate", LowState)
 SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
 SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
 REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
+POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
 COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": ARM_SDK}
 """Where commands go, by `stream.via`."""
 
-TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, LOG)
+TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, POLICY, LOG)

@@ -19,6 +19,7 @@ __all__ = [
     "LowState_",
     "MotorCmd_",
     "MotorState_",
+    "Policy_",
     "Reference_",
     "SportModeState_",
 ]
@@ -126,6 +127,15 @@ Reference_ = idl_struct(
     root_pos=array[float64, 3],
     root_quat_wxyz=array[float64, 4],
     **_each(array[float64, 3], "root_lin_vel root_ang_vel"),
+)
+
+Policy_ = idl_struct(
+    "g1stream.msg.dds_.Policy_",
+    **_each(uint64, "tick state_published state_received"),
+    **_each(float64, "state_age motion_time inference_time time_scale"),
+    **_each(uint32, "step repeated n_observation"),
+    observation=array[float32, 1024],
+    action=array[float32, 29],
 )
 
 Log_ = idl_struct(

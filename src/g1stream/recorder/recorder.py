@@ -16,7 +16,7 @@ import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns
-from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, TOPICS, Log
+from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, POLICY, TOPICS, Log
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.realtime import quick_thread_switches
@@ -50,6 +50,8 @@ _MAX_DELAY_NS: Final = 20_000_000
 _DROPS_PERIOD: Final = 1.0
 #: Topics with one publisher: of two robots, or two commanders, there is no one session.
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
+#: Topics that most streams do not publish.
+_OCCASIONAL: Final = frozenset({ARM_SDK.name, POLICY.name})
 #: How long to go on after the end, for samples still in transit, s.
 _LINGER: Final = 0.3
 
@@ -296,7 +298,7 @@ class Recorder:
     def _fill_report(self) -> None:
         report = self.report
         report.counts = {topic: n for topic, n in sorted(self._writer.counts.items()) if n}
-        expected = [topic for name, topic in CHANNEL_OF.items() if name != ARM_SDK.name]
+        expected = [topic for name, topic in CHANNEL_OF.items() if name not in _OCCASIONAL]
         report.absent = [topic for topic in expected if topic not in report.counts]
         for name in self._delays.keys() - self._publishers.keys():
             self._publishers[name] = Publishers.from_participant(self._participant, name)

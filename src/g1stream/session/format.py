@@ -24,6 +24,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from g1stream.dds.layout import CDR_HEADER, members
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ __all__ = [
     "CHANNELS",
     "CHANNEL_OF",
     "METADATA_NAME",
+    "POLICY_FIELDS",
     "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
@@ -46,6 +48,10 @@ __all__ = [
 
 TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
 """Of /timing/*: the longest time between two publish times, and from publish time to log time."""
+
+POLICY_FIELDS: Final = ("step", "repeated", "inference_ms", "state_age_ms", "delay_ms")
+"""Numbers of /policy/terms beside observation and action; the delay is from the publish time of the
+LowState that was observed to that of the command."""
 
 METADATA_NAME: Final = "g1stream"
 """The name of the first metadata record; the names of later ones end in `.2`, `.3` and so on.
@@ -196,6 +202,18 @@ def _timing(topic: str, description: str) -> Channel:
     return Channel(topic, "g1stream.Timing", "jsonschema", "json", description, lambda: schema)
 
 
+def _policy(topic: str, description: str) -> Channel:
+    numbers = {"type": "array", "items": {"type": "number"}}
+    properties: dict[str, Any] = {name: {"type": "number"} for name in POLICY_FIELDS}
+    properties["observation"] = {"type": "object", "additionalProperties": numbers}
+    properties["action"] = {
+        "type": "object",
+        "properties": {name: {"type": "number"} for name in JOINT_NAMES},
+    }
+    schema = json.dumps({"type": "object", "properties": properties}).encode()
+    return Channel(topic, "g1stream.PolicyTerms", "jsonschema", "json", description, lambda: schema)
+
+
 _ALL: Final = (
     _foxglove("/tf", FrameTransforms, "reference pose of every link, from world down the tree"),
     _foxglove("/measured/tf", FrameTransforms, "measured pose of every link, frames measured/*"),
@@ -233,6 +251,8 @@ _ALL: Final = (
         "unitree_go/msg/SportModeState",
         "base as the simulator knows it",
     ),
+    _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
+    _policy("/policy/terms", "the same by the names of terms and joints, with delays in ms"),
     _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
     _dds(
         "/reference",

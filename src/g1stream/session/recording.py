@@ -9,7 +9,7 @@ from collections import Counter
 from functools import cached_property, wraps
 from itertools import compress
 from pathlib import Path
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.mcap_reader import RECOVER, Slices
-from g1stream.session.records import SessionInfo, read_record
+from g1stream.session.records import PolicyInfo, SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
     MAX_GAP_NS,
@@ -27,6 +27,7 @@ from g1stream.session.streams import (
     CommandStream,
     LogEvent,
     MeasuredStream,
+    PolicyStream,
     ReferenceStream,
     Stream,
     StreamT,
@@ -174,6 +175,22 @@ class Recording:
     def torso_imu(self) -> TorsoImuStream | None:
         """The IMU in the torso; None where it was not published."""
         return self.stream(TorsoImuStream) if self.topics.get(TorsoImuStream.topic) else None
+
+    @property
+    def policy(self) -> PolicyStream | None:
+        """The steps of a learned policy; None where none played."""
+        if not self.topics.get(PolicyStream.topic):
+            return None
+        stream = self.stream(PolicyStream)
+        info = self.policy_info
+        stream.terms = MappingProxyType(info.columns if info else {})
+        return stream
+
+    @cached_property
+    def policy_info(self) -> PolicyInfo | None:
+        """The policy that played, and what it takes and gives; None where that is not known."""
+        info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
+        return info
 
     def stream(self, kind: type[StreamT]) -> StreamT:
         """The samples of a DDS topic.

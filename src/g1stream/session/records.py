@@ -6,6 +6,7 @@ None stands for what is not known; units are part of the names.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
@@ -41,6 +42,7 @@ __all__ = [
     "Percentiles",
     "PhaseInterval",
     "PhaseName",
+    "PolicyInfo",
     "Record",
     "RecorderSummary",
     "SessionInfo",
@@ -166,6 +168,34 @@ class MotionInfo(Record):
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
+class PolicyInfo(Record):
+    """The learned policy that played.
+
+    Attributes:
+        path: of its ONNX file.
+        sha256: of that file.
+        data_sha256: of the file beside it that has its weights; None where there is none.
+        contract: what it takes and gives, as `g1stream policy --json` prints it.
+    """
+
+    path: str | None = None
+    sha256: str | None = None
+    data_sha256: str | None = None
+    contract: dict[str, Any] = {}
+
+    @property
+    def columns(self) -> dict[str, slice]:
+        """Where each term is in the observation, by name; empty where the file does not tell."""
+        try:
+            sizes = [(str(one["name"]), int(one["size"])) for one in self.contract["terms"]]
+        except (KeyError, TypeError, ValueError, OverflowError):
+            return {}
+        ends = list(accumulate(size for _, size in sizes))
+        if not ends or min(size for _, size in sizes) < 0:
+            return {}
+        return {name: slice(end - size, end) for (name, size), end in zip(sizes, ends, strict=True)}
+
+
 class ClockStep(Record):
     """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
 
@@ -186,6 +216,7 @@ class SessionInfo(Record):
         gains: kp in N·m/rad and kd in N·m·s/rad, 29 each, motor order.
         joints: names of those that play the motion; None in files of earlier versions: all.
         absent: names of those that the robot does not have.
+        policy: that plays; None where none does.
         config: all settings of the streamer.
     """
 
@@ -200,6 +231,7 @@ class SessionInfo(Record):
     gains: dict[str, list[float]] | None = None
     joints: list[str] | None = None
     absent: list[str] = []
+    policy: PolicyInfo | None = None
     config: dict[str, Any] | None = None
 
     @classmethod
@@ -209,6 +241,7 @@ class SessionInfo(Record):
         robot: G1,
         motion: Motion,
         gains: Mapping[str, Floats],
+        policy: PolicyInfo | None = None,
     ) -> SessionInfo:
         """Describe a motion that is about to be played.
 
@@ -217,8 +250,11 @@ class SessionInfo(Record):
             robot: that plays it.
             motion: what is played.
             gains: arrays (29,) by the names in `Gains`.
+            policy: that plays it.
         """
+        told = {"policy": policy} if policy else {}
         return cls(
+            **told,
             motion=MotionInfo.from_motion(motion),
             gains={name: values.tolist() for name, values in gains.items()},
             joints=[

@@ -32,6 +32,7 @@ __all__ = [
     "LogEvent",
     "MeasuredStream",
     "Neighbours",
+    "PolicyStream",
     "ReferenceStream",
     "Stream",
     "StreamT",
@@ -307,6 +308,72 @@ def _phase(number: int) -> Phase:
         ) from error
 
 
+class PolicyStream(Stream):
+    """The steps of a learned policy, each with the publish time of the command that it made first.
+
+    Attributes:
+        tick: (N,) of the Reference beside that command.
+        step: (N,) since the policy took the robot over, at 0.
+        repeated: (N,) how often in a row the last finite action has stood in for one that is not; 0
+            for a finite one.
+        state_published: (N,) uint64, ns since the epoch: the `publish_time` of the LowState that
+            was observed; 0 where that is not known.
+        state_received: (N,) uint64, ns since the epoch, when the streamer received it.
+        state_age: (N,) s from then to the observation.
+        motion_time: (N,) s, of the reference that was observed.
+        inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
+        time_scale: (N,) simulated over real time, which velocities of the reference that was
+            observed are divided by.
+        n_observation: (N,) how many values are observed.
+        observation: (N, K) float32, as the network took it.
+        action: (N, 29) float32, as the network gave it, motor order.
+        terms: by name, the columns of `observation`; empty where the session does not tell.
+    """
+
+    topic = "/policy"
+    source = messages.POLICY
+
+    tick: NDArray[np.uint64]
+    step: NDArray[np.uint32]
+    repeated: NDArray[np.uint32]
+    state_published: NDArray[np.uint64]
+    state_received: NDArray[np.uint64]
+    state_age: Floats
+    motion_time: Floats
+    inference_time: Floats
+    time_scale: Floats
+    n_observation: NDArray[np.uint32]
+    observation: NDArray[np.float32]
+    action: NDArray[np.float32]
+
+    terms = MappingProxyType[str, slice]({})
+
+    def keep(self, columns: dict[str, NDArray[Any]]) -> None:
+        """As of `Stream`; of an observation what is used, and bit for bit what it was."""
+        exact: dict[str, NDArray[Any]] = {
+            name: columns.pop(name) for name in ("observation", "action") if name in columns
+        }
+        super().keep(columns)
+        if "observation" in exact:
+            width = int(self.read("n_observation").n_observation.max(initial=0))
+            exact["observation"] = read_only(exact["observation"][:, :width].copy())
+        self.__dict__.update(exact)
+
+    def __getitem__(
+        self, index: slice | NDArray[np.bool_] | NDArray[np.integer[Any]]
+    ) -> PolicyStream:
+        """The samples of a slice, a boolean mask (N,), or indices."""
+        part = super().__getitem__(index)
+        part.terms = self.terms
+        return part
+
+    @cached_property
+    def delay(self) -> Floats:
+        """(N,) s from the publish time of the LowState to that of the command; nan if unknown."""
+        behind = self.publish_time - self.state_published.astype(np.int64)
+        return read_only(np.where(self.state_published > 0, behind / 1e9, np.nan))
+
+
 class CommandStream(Stream):
     """The commands to the motors.
 
@@ -415,6 +482,7 @@ STREAMS: Final[Mapping[str, type[Stream]]] = {
     kind.topic: kind
     for kind in (
         ReferenceStream,
+        PolicyStream,
         CommandStream,
         ArmCommandStream,
         MeasuredStream,

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
     from g1stream.session.format import Channel
     from g1stream.session.mcap_writer import Compression
-    from g1stream.session.records import MotionInfo
+    from g1stream.session.records import MotionInfo, PolicyInfo
     from g1stream.session.source import MemorySource
 
-__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion"]
+__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_policy"]
 
 LARGEST_MOTION: Final = 16 * 2**20
 """A larger motion file is not attached, bytes; its SHA-256 is in the metadata in any case."""
@@ -295,6 +295,20 @@ class SessionWriter:
 
     def _write_metadata_yaml(self) -> None:
         write_metadata_yaml(self._place, [*self._parts, self.part()], self._channels)
+
+
+def attach_policy(
+    writer: SessionWriter | MemorySource, policy: PolicyInfo | None, time_ns: int
+) -> None:
+    """Attach what a policy takes and gives as policy.json; nothing where there is none.
+
+    Args:
+        writer: of the session.
+        policy: that plays; None where none does.
+        time_ns: the attachment's time, ns since the epoch.
+    """
+    if policy:
+        writer.attach("policy.json", "application/json", policy.model_dump_json().encode(), time_ns)
 
 
 def attach_motion(

@@ -49,7 +49,7 @@ class Lockstep:
         self._on_sample = on_sample
         self._now = 0
         self._due = _LAG
-        self._low_state = b""
+        self._low_state, self._published = b"", 0
         self._command = self._reference = b""
 
     def now(self) -> int:
@@ -67,7 +67,7 @@ class Lockstep:
 
     def _tick(self) -> None:
         published = self._robot.publish()
-        self._low_state = published.low_state
+        self._low_state, self._published = published.low_state, self.stamp()
         topics = (LOWSTATE, SPORTMODESTATE, SECONDARY_IMU)
         for topic, data in zip(topics, published, strict=True):
             self._on_sample(topic, data, self.stamp())
@@ -94,6 +94,7 @@ class Lockstep:
         if not data:
             return None
         state.load(data)
+        state.published, state.received = self._published, self.stamp()
         return 1
 
     def state_publishers(self) -> list[str]:
@@ -104,6 +105,9 @@ class Lockstep:
         self._on_sample(LOWCMD, command, stamp)
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
+
+    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
+        self._on_sample(topic, data, stamp)
 
     def unready(self) -> str:
         return ""

@@ -43,12 +43,15 @@ DEFAULT_JOINTS: Final = (
 """What is plotted where no session says which joints matter; there is room for so many."""
 
 
-def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:
+def foxglove_layout(
+    joints: Sequence[str], robot: G1 | None = None, *, policy: bool = False
+) -> dict[str, Any]:
     """A layout for Foxglove and Lichtblick, as the JSON that they import.
 
     Args:
         joints: names of up to six joints to plot.
         robot: whose frames are hidden and whose torque limits are drawn; the default one if None.
+        policy: whether to plot the steps of a learned policy, too.
     """
     robot = robot or G1.default()
     panels: dict[str, Any] = {
@@ -113,13 +116,15 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
         )
         positions.append(position)
         torques.append(torque)
-    panels["Tab!joints"] = {
-        "activeTabIdx": 0,
-        "tabs": [
-            {"title": "Positions", "layout": _grid(positions)},
-            {"title": "Torques", "layout": _grid(torques)},
-        ],
-    }
+    tabs = [
+        {"title": "Positions", "layout": _grid(positions)},
+        {"title": "Torques", "layout": _grid(torques)},
+    ]
+    if policy:
+        of_policy = _policy_panels(joints)
+        panels |= of_policy
+        tabs.append({"title": "Policy", "layout": _rows(list(of_policy))})
+    panels["Tab!joints"] = {"activeTabIdx": 0, "tabs": tabs}
     left = _column(("3D!robot", 74), ("StateTransitions!phase", 42), "RosOut!log")
     right = _column(("Tab!joints", 56), ("Plot!limbs", 50), "Plot!timing")
     return {
@@ -128,6 +133,38 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
         "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 46},
+    }
+
+
+def _policy_panels(joints: Sequence[str]) -> dict[str, Any]:
+    """Delays and actions of each step of a policy."""
+    colors = (*_LIMB_COLORS, _RED)
+    return {
+        "Plot!policy-delays": _plot(
+            "policy: delays of each step, ms",
+            [
+                ("/policy/terms.delay_ms", "LowState to command", _REFERENCE),
+                ("/policy/terms.state_age_ms", "age of LowState", _MEASURED),
+                ("/policy/terms.inference_ms", "inference", _RED),
+            ],
+            legend=True,
+        ),
+        "Plot!policy-actions": _plot(
+            "policy: actions, as the network gave them",
+            [
+                (f"/policy/terms.action.{joint}", short_name(joint), color)
+                for joint, color in zip(joints, colors, strict=False)
+            ],
+            legend=True,
+        ),
+        "Plot!policy-turning": _plot(
+            "policy: base_ang_vel as observed",
+            [
+                (f"/policy/terms.observation.base_ang_vel[{i}]", axis, color)
+                for i, (axis, color) in enumerate(zip("xyz", _LIMB_COLORS, strict=False))
+            ],
+            legend=True,
+        ),
     }
 
 

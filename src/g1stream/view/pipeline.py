@@ -6,18 +6,26 @@ Needs no DDS participant. The samples themselves are not its business: the recor
 from __future__ import annotations
 
 import json
+import math
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from g1stream.config import RecordConfig
-from g1stream.dds.messages import LOWSTATE, REFERENCE, SPORTMODESTATE, Samples, played_joints
+from g1stream.dds.messages import (
+    LOWSTATE,
+    POLICY,
+    REFERENCE,
+    SPORTMODESTATE,
+    Samples,
+    played_joints,
+)
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import TIMING_FIELDS, MessageBatch, encode_string
+from g1stream.session.format import POLICY_FIELDS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.session.streams import MAX_GAP_NS, neighbours
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
@@ -37,6 +45,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
+    from g1stream.session.records import PolicyInfo
 
 __all__ = ["Decimator", "MessagePipeline", "Track", "TrackingError"]
 
@@ -47,6 +56,8 @@ _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
 #: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
 _FIELDS: Final = ("position", "velocity", "acceleration", "effort")
+#: Of the numbers of /policy/terms.
+_DECIMALS: Final = 5
 #: How long a state waits for the reference that follows it, ns.
 _MAX_WAIT_NS: Final = 1_000_000_000
 #: ns of publish times that one message of /timing/* is about.
@@ -60,6 +71,7 @@ class MessagePipeline:
         robot: whose links and joints.
         settings: which messages are made of the samples (`channels`) and how often (`tf_rate`),
             and whether scenes have meshes (`meshes`); the defaults if None.
+        policy: that plays, whose terms have names; None where it is not known.
 
     Attributes:
         base: the measured pelvis's pose in the world of the reference; None with the channels raw.
@@ -70,7 +82,12 @@ class MessagePipeline:
         RobotError: a mesh cannot be read, or there is none for the robot's links.
     """
 
-    def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
+    def __init__(
+        self,
+        robot: G1,
+        settings: RecordConfig | None = None,
+        policy: PolicyInfo | None = None,
+    ) -> None:
         settings = settings or RecordConfig()
         raw = settings.channels == "raw"
         if raw and settings.meshes:
@@ -82,7 +99,7 @@ class MessagePipeline:
         self._shown = robot_with_meshes(robot) if settings.meshes else robot
         self._meshes = draw_meshes(self._shown) if settings.meshes else {}
         self.base = None if raw else MeasuredBase()
-        self._encoders = _encoders(robot, self.base, settings) if self.base else ()
+        self._encoders = _encoders(robot, self.base, settings, policy) if self.base else ()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
@@ -131,7 +148,7 @@ class MessagePipeline:
         return [messages for messages in made if len(messages.payloads)]
 
 
-_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE)}
+_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE, POLICY)}
 
 
 class _Decoded:
@@ -148,6 +165,13 @@ class _Decoded:
         return self._fields[field]
 
     @property
+    def delay(self) -> Floats:
+        """(T,) s from the publish times of the observed states, by steps of a policy; nan: none."""
+        states = self._samples["state_published"].astype(np.int64)
+        delays: Floats = np.where(states > 0, (self.published - states) / 1e9, np.nan)
+        return delays
+
+    @property
     def played(self) -> NDArray[np.bool_]:
         """(29,) which joints play, by references."""
         return played_joints(np.bitwise_or.reduce(self._samples["played"]))
@@ -160,7 +184,9 @@ class _Encoder(Protocol):
         """The messages of one round, from its samples by DDS topic name."""
 
 
-def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_Encoder, ...]:
+def _encoders(
+    robot: G1, base: MeasuredBase, settings: RecordConfig, policy: PolicyInfo | None
+) -> tuple[_Encoder, ...]:
     rate, every = settings.tf_rate, settings.channels == "full"
     return (
         _References(robot, rate, every=every),
@@ -169,6 +195,7 @@ def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_E
         _Timing("/timing/commands", REFERENCE.name),
         _Timing("/timing/states", LOWSTATE.name),
         _Errors(robot.joint_names, rate, every=every),
+        _PolicyTerms(robot.joint_names, policy.columns if policy else {}),
     )
 
 
@@ -314,6 +341,44 @@ class _Errors:
             self._joints.encode(times, logged, few, errors.q, errors.dq),
             self._limbs.encode(times, logged, few, *limbs),
         ]
+
+
+class _PolicyTerms:
+    """/policy/terms: the steps of a policy by the names of its terms and joints.
+
+    Without `columns`, those of each term, the whole observation is one term, `values`.
+    """
+
+    def __init__(self, joint_names: Sequence[str], columns: Mapping[str, slice]) -> None:
+        self._joint_names, self._columns = joint_names, columns
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if (found := samples.get(POLICY.name)) is None:
+            return []
+        numbers = (
+            found["step"],
+            found["repeated"],
+            found["inference_time"] * 1e3,
+            found["state_age"] * 1e3,
+            found.delay * 1e3,
+        )
+        payloads = []
+        for i, n in enumerate(found["n_observation"].astype(int).tolist()):
+            columns = self._columns or {"values": slice(0, n)}
+            observed = {name: _plain(found["observation"][i, at]) for name, at in columns.items()}
+            of_step = _plain(np.array([one[i] for one in numbers]))
+            row = {
+                **dict(zip(POLICY_FIELDS, of_step, strict=True)),
+                "observation": observed,
+                "action": dict(zip(self._joint_names, _plain(found["action"][i]), strict=True)),
+            }
+            payloads.append(json.dumps(row).encode())
+        return [MessageBatch("/policy/terms", payloads, found.logged, found.published)]
+
+
+def _plain(values: Floats) -> list[float | None]:
+    """Numbers as JSON has them: with a few decimals, and null where they are not finite."""
+    return [x if math.isfinite(x) else None for x in values.round(_DECIMALS).tolist()]
 
 
 class _JointStates:

@@ -1,37 +1,10 @@
-"""A small policy: a tracker of 154 values whose action is a product with the observation."""
+"""Writes small policies."""
 
-import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper
 
-from g1stream.robot.joints import JOINT_NAMES
-
-#: As whole_body_tracking writes it.
-METADATA = {
-    "joint_names": ",".join(JOINT_NAMES),
-    "joint_stiffness": ",".join(["40.0"] * 29),
-    "joint_damping": ",".join(["2.0"] * 29),
-    "default_joint_pos": ",".join(["0.1"] * 29),
-    "action_scale": "0.5",
-    "command_names": "motion",
-    "observation_names": "command,motion_anchor_ori_b,base_ang_vel,joint_pos,joint_vel,actions",
-    "anchor_body_name": "torso_link",
-}
-
-
-def network_of(width=154, n_actions=29, domain="", batch=1):
-    weights = numpy_helper.from_array(np.full((width, n_actions), 0.01, np.float32), "weights")
-    tensor = helper.make_tensor_value_info
-    graph = helper.make_graph(
-        [helper.make_node("MatMul", ["obs", "weights"], ["actions"], domain=domain)],
-        "policy",
-        [tensor("obs", TensorProto.FLOAT, [batch, width])],
-        [tensor("actions", TensorProto.FLOAT, [batch, n_actions])],
-        [weights],
-    )
-    opsets = [helper.make_opsetid("", 17)] + ([helper.make_opsetid(domain, 1)] if domain else [])
-    return helper.make_model(graph, opset_imports=opsets, ir_version=8)
+from known_policies import METADATA, network_of
 
 
 @pytest.fixture

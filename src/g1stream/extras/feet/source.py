@@ -145,7 +145,7 @@ class StandingTorques(Source):
             self._hanging.observe(phase, measured, scale)
 
     def command(self, moment: Moment) -> Target:
-        phase, ramped, target, measured, age, _ = moment
+        phase, ramped, target, measured, age, *_ = moment
         balance, imu = self.balance, measured.imu
         if phase is not Phase.RAMP:
             tau = balance.torque(target, measured, age)

@@ -24,13 +24,23 @@ from g1stream.session.records import Record
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from g1stream.extras.policy.contract import PolicyContract
     from g1stream.extras.policy.network import Network
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["FirstActions", "anchor_poses", "begin", "first_actions", "held_frame"]
+__all__ = [
+    "FirstActions",
+    "anchor_poses",
+    "begin",
+    "first_actions",
+    "frame_of",
+    "held_frame",
+    "state_of",
+]
 
 #: Of the motion, s.
 _LENGTH: Final = 5.0
@@ -150,6 +160,35 @@ def anchor_poses(
     link = robot.link_names.index(contract.anchor or robot.link_names[0])
     poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
     return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
+
+
+def state_of(
+    contract: PolicyContract,
+    robot: G1,
+    joint_pos: NDArray[np.floating],
+    joint_vel: NDArray[np.floating],
+    quat_wxyz: NDArray[np.floating],
+    gyroscope: NDArray[np.floating],
+) -> RobotState:
+    """What a LowState says of the robot, without a place: joints (29,) rad and rad/s."""
+    q, quat = joint_pos.astype(np.float64), quat_wxyz.astype(np.float64)
+    quat /= np.sqrt(quat @ quat)
+    return RobotState(
+        q,
+        joint_vel.astype(np.float64),
+        quat,
+        gyroscope.astype(np.float64),
+        _ORIGIN,
+        anchor_poses(contract, robot, q[None], _ORIGIN, quat)[0],
+    )
+
+
+def frame_of(
+    contract: PolicyContract, robot: G1, joint_pos: Floats, joint_vel: Floats, *pelvis: Floats
+) -> ReferenceFrame:
+    """The reference of one step: joints (29,) rad, rad/s, pelvis pos (3,) m and quat_wxyz (4,)."""
+    anchor = anchor_poses(contract, robot, joint_pos[None], *pelvis)[0]
+    return ReferenceFrame(joint_pos, joint_vel, anchor)
 
 
 def begin(robot: Pose, reference: Pose) -> tuple[Floats, tuple[Floats, Floats]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,8 @@ class Network:
         n_actions: of the action.
         outputs: names of all outputs.
         steps: whether it takes a time step, and so holds a motion of its own.
+        sha256: of the file.
+        data_sha256: of the external data beside it; None where there is none.
 
     Raises:
         ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
@@ -38,7 +41,9 @@ class Network:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         runtime = import_extra("onnxruntime", "policy", "A policy needs")
-        self._check_size()
+        data = self._check_size()
+        self.sha256 = _sha256(self.path)
+        self.data_sha256 = _sha256(data) if data else None
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4  # its complaints come as exceptions, too
@@ -92,11 +97,13 @@ class Network:
         action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
         return action
 
-    def _check_size(self) -> None:
+    def _check_size(self) -> Path | None:
+        """The external data beside the file; None where there is none."""
         try:
             size = self.path.stat().st_size
             data = self.path.with_name(f"{self.path.name}.data")
-            size += data.stat().st_size if data.exists() else 0
+            external = data if data.exists() else None
+            size += external.stat().st_size if external else 0
         except OSError as error:
             raise ConfigError(
                 f"The policy {self.path} cannot be read: {error.strerror}.", "Check the path."
@@ -109,6 +116,16 @@ class Network:
                 f"{_LARGEST / 2**20:.0f}.",
                 "Export the actor alone, without critic and optimiser.",
             )
+        return external
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(
+            f"The policy {path} cannot be read: {error.strerror}.", "Check the path."
+        ) from error
 
 
 def _reason(error: Exception) -> str:

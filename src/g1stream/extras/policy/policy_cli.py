@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, Command, print_json, print_lines
-from g1stream.cli.flags import argument, flag
+from g1stream.cli.flags import flag
+from g1stream.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,22 +18,54 @@ class Policy(Command):
     motion, its or the given one, the first five seconds are tried with the robot exactly where the
     reference is: targets that are far from it show a wrong motion, order, term or scale.
 
+    With --replay, a session that the policy played is played again through it: whether the recorded
+    observations give the recorded actions, bit for bit, and how far observations made anew of the
+    recorded LowStates and References are from the recorded ones, term by term.
+
     Examples:
       g1stream policy policy.onnx
       g1stream policy policy.onnx --motion dance.csv --json
+      g1stream policy --replay session.mcap
 
     Exit codes:
       0  printed
-      1  printed, and the first targets are far from the reference
-      2  a fact is missing or wrong, or it is no policy of a G1
+      1  printed, and the first targets are far from the reference, or the session is another one
+      2  a fact is missing or wrong, it is no policy of a G1, or the session has none
     """
 
-    file: str = argument("ONNX file of the policy.", "FILE")
+    file: str | None = flag(
+        None, "ONNX file of the policy; of a session the recorded one.", "FILE", positional=True
+    )
     motion: str | None = flag(None, "Motion that it is to track.", "MOTION")
+    replay: str | None = flag(None, "Session to play through the policy again.", "SESSION")
     json: bool = flag(False, "Print it as JSON.")
 
     def run(self) -> int:
-        """Print the contract and the first actions, and return the exit code."""
+        """Print contract and first actions, or a replay, and return the exit code."""
+        if self.replay:
+            return self._replay(self.replay)
+        if self.file is None:
+            raise ConfigError(
+                "No policy is named.", "Give an ONNX file, or --replay with a session."
+            )
+        return self._show(self.file)
+
+    def _replay(self, path: str) -> int:
+        from g1stream.app.session import open_session
+        from g1stream.extras.policy.replay import replay_policy
+
+        if self.motion:
+            raise ConfigError(
+                "--motion with --replay: the session has what was played.", "Leave one of them out."
+            )
+        found = replay_policy(open_session(path), self.file)
+        if self.json:
+            print_json(found.model_dump(mode="json") | {"same": found.same})
+        else:
+            print_lines(str(found))
+        return EXIT_OK if found.same else EXIT_STOPPED
+
+    def _show(self, file: str) -> int:
         from g1stream.extras.policy.contract import read_contract
         from g1stream.extras.policy.first_actions import first_actions
         from g1stream.extras.policy.network import Network
@@ -40,7 +73,7 @@ class Policy(Command):
         from g1stream.robot.model import G1
         from g1stream.text import labelled
 
-        network = Network(self.file)
+        network = Network(file)
         contract = read_contract(network)
         motion = load_motion(self.motion) if self.motion else None
         actions = first_actions(contract, network, G1.default(), motion)

@@ -74,6 +74,8 @@ class Comparison(Record):
         metrics: of all joints that played in every session, by the name that --fail-if takes.
         limbs, joints: RMSE, rad, by name; the joints that differ most first, significantly at the
             top.
+        terms: mean and standard deviation of each term that a learned policy observed, such as
+            `std of joint_vel_rel`; empty where not all sessions have one.
         differs: what else differs between the sides, such as `gains.kp of waist` -> what it was in
             each.
     """
@@ -86,6 +88,7 @@ class Comparison(Record):
     metrics: dict[str, Difference]
     limbs: dict[str, Difference]
     joints: dict[str, Difference]
+    terms: dict[str, Difference]
     differs: dict[str, tuple[str, str]]
 
     def __str__(self) -> str:
@@ -97,9 +100,10 @@ class Comparison(Record):
                 name.removesuffix("_joint"): one
                 for name, one in list(self.joints.items())[:_MOST_JOINTS]
             },
+            self.terms,
         )
         rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "p (Holm)")]
-        for kind in kinds:
+        for kind in filter(None, kinds):
             rows += [_row(name, one) for name, one in kind.items()]
             rows.append(("",) * len(rows[0]))
         lines = [
@@ -208,6 +212,7 @@ def compare(
         ),
         limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
         joints=ranked(differences([[_rmse(m, "joints") for m in side] for side in found], {})),
+        terms=_terms(sides, start, stop),
         differs=_circumstances(*sides),
     )
     if page is not None:
@@ -322,6 +327,31 @@ def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
     return {name: one.rmse_rad for name, one in getattr(found.tracking, which).items()}
 
 
+def _terms(sides: Sequence[Sequence[_Run]], start: float, stop: float) -> dict[str, Difference]:
+    """Of what a policy observed in a part of the motion, by figure and term."""
+    figures: list[list[dict[str, float | None]]] = []
+    for side in sides:
+        figures.append([])
+        for run in side:
+            session = _opened(run.source)
+            steps = session.policy
+            if steps is None:
+                return {}
+            tracked = session.tracking()
+            at = np.interp(steps.time, tracked.time, tracked.motion_time, -np.inf, np.inf)
+            observed = steps.observation[(at >= start) & (at <= stop)]
+            found: dict[str, float | None] = {}
+            for name, columns in steps.terms.items() if len(observed) else ():
+                values = observed[:, columns].astype(np.float64)
+                found[f"mean of {name}"] = float(values.mean())
+                found[f"std of {name}"] = float(values.std())
+            figures[-1].append(found)
+    names = {*figures[0][0]}
+    return differences(
+        figures, dict.fromkeys(names, ""), {name for name in names if name.startswith("mean")}
+    )
+
+
 def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
     """By name, what the sessions of the two sides do not have in common."""
     sides = [[run.facts for run in side] for side in (base, other)]
@@ -351,6 +381,8 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
         for limb, joints in JOINT_GROUPS.items():
             values = (f"{gains[joint]:g}" for joint in joints if joint < len(gains))
             yield f"gains.{name} of {limb}", ", ".join(dict.fromkeys(values))
+    if info.policy and info.policy.sha256:
+        yield "SHA-256 of the policy", info.policy.sha256[:12]
     yield from ((f"version of {name}", v) for name, v in summary.versions.items())
     if summary.host:
         yield "host", summary.host

@@ -70,6 +70,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         "limbs": limbs,
         "intervals": _intervals(session),
         "lateness": _lateness(metrics),
+        "steps": _steps(session),
     }
 
 
@@ -127,6 +128,23 @@ def _intervals(session: Session) -> list[dict[str, Any]]:
         {"name": topic, **curve(at[1:], np.diff(at) * 1e3)}
         for topic, at in times.items()
         if len(at) > 1
+    ]
+
+
+def _steps(session: Session) -> list[dict[str, Any]]:
+    """The delays of each step of a policy, ms; empty where there are none."""
+    steps = session.policy
+    if steps is None or len(steps) < 2:
+        return []
+    lines = {
+        "between steps": np.append(np.nan, np.diff(steps.time)),
+        "from LowState to command": steps.delay,
+        "inference": steps.inference_time,
+    }
+    return [
+        {"name": name, **curve(steps.time[ok], 1e3 * values[ok])}
+        for name, values in lines.items()
+        if (ok := np.isfinite(values)).any()
     ]
 
 

@@ -19,12 +19,14 @@ from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.extras.physics.result import MotionPhysics
+from g1stream.extras.policy.steps import PolicySteps, policy_steps
 from g1stream.extras.report.figures import figures
 from g1stream.extras.report.html import joints_by_limb, render_page
-from g1stream.extras.report.tables import overview, physics_tables, tables
+from g1stream.extras.report.tables import overview, physics_tables, policy_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import attached_motion
+from g1stream.text import counted, short_name
 
 if TYPE_CHECKING:
     Given: TypeAlias = Session | str | os.PathLike[str]
@@ -35,6 +37,8 @@ __all__ = ["numbers", "report"]
 #: A video or picture beside a session, of the same name, is shown; the first of these.
 _PICTURES: Final = (".mp4", ".gif", ".png")
 _LARGEST_PICTURE: Final = 50 * 2**20
+#: Joints at their torque limits that are named.
+_MOST_SATURATED: Final = 5
 #: Frames per second at which the reference is looked at, where the motion is not attached.
 _FPS: Final = 30.0
 #: More would take seconds.
@@ -72,7 +76,7 @@ def report(
 def numbers(
     sessions: Given | Iterable[Given], progress: Progress = lambda what, fraction: None
 ) -> dict[str, Any]:
-    """The numbers of a report as values for JSON: summary, metrics and physics of each session."""
+    """The numbers of a report for JSON: summary, metrics, physics, policy of each session."""
     return {"sessions": [_told(session, progress)[-1] for session in _opened(sessions)]}
 
 
@@ -104,28 +108,32 @@ def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iter
 
 def _told(
     session: Session, progress: Progress
-) -> tuple[Metrics, Summary, MotionPhysics | str, dict[str, Any]]:
+) -> tuple[Metrics, Summary, MotionPhysics | str, PolicySteps | None, dict[str, Any]]:
     """What is told of a session, and the same as values for JSON."""
     # The metrics read all columns that are needed, the summary alone only some.
     metrics, summary = session.metrics(), session.summary()
     physics = session_physics(session, summary, partial(progress, "physics"))
+    policy = policy_steps(session)
     values = {
         "path": str(session.path),
         "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
+        "policy": policy.model_dump(mode="json") if policy else None,
     }
-    return metrics, summary, physics, values
+    return metrics, summary, physics, policy, values
 
 
 def _page(sessions: Iterable[Session], progress: Progress) -> str:
     values, sections, drawn = [], [], []
     for number, session in enumerate(sessions):
-        metrics, summary, physics, told = _told(session, progress)
+        metrics, summary, physics, policy, told = _told(session, progress)
         values.append(told)
         drawn.append(figures(session, summary, metrics))
-        section = _section(f"sessions.{number}", told["metrics"], drawn[-1], summary, physics)
+        key = f"sessions.{number}"
+        section = _section(key, told["metrics"], drawn[-1], summary, physics)
+        section["policy"] = _policy(policy, f"{key}.policy")
         sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"
@@ -186,6 +194,35 @@ def _physics(physics: MotionPhysics | str, support: str | None, key: str) -> dic
     more = [("tilt", physics.tilt), ("centre of pressure", physics.pressure)]
     facts = [*verdicts, *(one for one in more if one[1])]
     return {"missing": None, "facts": facts, **physics_tables(physics, key)}
+
+
+def _policy(policy: PolicySteps | None, key: str) -> dict[str, Any] | None:
+    """What the template shows of the steps of a policy; None where there are none."""
+    if policy is None:
+        return None
+    step = 1e3 * policy.step_s
+    full = list(policy.saturated.items())[:_MOST_SATURATED]
+    facts = {
+        "policy": policy.policy or "not known",
+        "steps": f"{policy.steps} of {step:g} ms",
+        "late": f"{counted(policy.late, 'interval')} between steps of 1.5 steps or more"
+        if policy.late
+        else "",
+        "repeated": f"{counted(policy.repeated, 'action')} that was not finite"
+        if policy.repeated
+        else "",
+        "slack": f"the longest delay from state to command is {1e3 * policy.delay_s.max:.1f} ms, "
+        f"{policy.delay_s.max / policy.step_s:.0%} of a step"
+        if policy.delay_s
+        else "",
+        "at torque limits": ", ".join(f"{short_name(one)} {share:.2%}" for one, share in full)
+        or "no motor",
+    }
+    return {
+        "fall": str(policy.fall) if policy.fall else "",
+        "facts": [(name, text) for name, text in facts.items() if text],
+        **policy_tables(policy.model_dump(mode="json"), key),
+    }
 
 
 def session_physics(

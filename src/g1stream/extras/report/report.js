@@ -128,6 +128,11 @@
         shapes: phases(session), xaxis: times(session),
         yaxis: axis("interval, ms", { rangemode: "tozero" }) })];
     },
+    steps(session) {
+      return [session.steps.map((one) => line(one)), layout(280, {
+        shapes: phases(session), xaxis: times(session),
+        yaxis: axis("delay, ms", { rangemode: "tozero" }) })];
+    },
     errors(comparison) {
       return [comparison.lines.map((one, i) => ofSide(comparison, i, one.rms)),
         layout(300, { xaxis: axis(MOTION_TIME),

@@ -120,6 +120,18 @@ _PERCENTILES: Final = (
     Column("p99.9", "µs", "p99_9"),
     Column("max", "µs", "max"),
 )
+_MILLISECONDS: Final = (
+    Column("p50", "ms", "p50", ".2f", 1e3),
+    Column("p99", "ms", "p99", ".2f", 1e3),
+    Column("p99.9", "ms", "p99_9", ".2f", 1e3),
+    Column("max", "ms", "max", ".2f", 1e3),
+)
+_TERMS: Final = (
+    Column("mean", "", "mean", ".3f"),
+    Column("std", "", "std", ".3f"),
+    Column("deviation", "own std, last second", "deviation", ".1f"),
+    Column("of", "", "of"),
+)
 _TOPICS: Final = (
     Column("messages", "", "count"),
     Column("lost", "", "lost"),
@@ -215,6 +227,11 @@ _SPACES: Final = {
     "root_relative": "without the base's position",
     "pelvis_frame": "without the base: joints alone",
 }
+_DELAYS_OF_STEPS: Final = {
+    "delay_s": "from LowState to command",
+    "state_age_s": "age of the state observed",
+    "inference_s": "inference",
+}
 _PUNCTUALITY: Final = {
     "lateness_us": "lateness of writes",
     "interval_us": "interval between commands",
@@ -272,6 +289,7 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
         "limbs": table("RMSE of limb", _ANGLE_DIFFERENCES, rows("limbs", angles=True)),
         "joints": table("RMSE of joint", _ANGLE_DIFFERENCES, rows("joints", angles=True)),
         "metrics": table("metric", _DIFFERENCES, rows("metrics", angles=False)),
+        "terms": table("term", _DIFFERENCES, rows("terms", angles=False)),
     }
 
 
@@ -307,6 +325,24 @@ def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
         "collisions": table("link", _COLLISIONS, collisions[:_MOST_PAIRS]),
         "collided": f"{counted(len(collisions), 'pair')} of links that are inside each other"
         f"{deepest}",
+    }
+
+
+def policy_tables(policy: Mapping[str, Any], key: str) -> dict[str, Table | None]:
+    """The tables of a `PolicySteps` as JSON has it: delays, and the terms of the observation.
+
+    After a fall, the terms that were farthest from what they had been come first.
+    """
+    delays = [
+        (name, f"{key}.{field}", policy[field])
+        for field, name in _DELAYS_OF_STEPS.items()
+        if policy[field]
+    ]
+    terms = sorted(policy["terms"].items(), key=lambda one: -(one[1]["deviation"] or 0.0))
+    rows = [(name, f"{key}.terms.{name}", one) for name, one in terms]
+    return {
+        "delays": table("delay", _MILLISECONDS, delays),
+        "terms": table("term", _TERMS, rows),
     }
 
 

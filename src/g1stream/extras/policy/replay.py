@@ -1,0 +1,342 @@
+"""A session played again through its policy: same observations, same actions.
+
+Recorded observations give the recorded actions bit for bit where network, runtime and processor are
+the same. Observations that are made anew of the recorded LowStates and References are compared
+with the recorded ones term by term, so that two runners of one policy can be.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.policy.contract import PolicyContract, read_contract
+from g1stream.extras.policy.first_actions import begin, frame_of, state_of
+from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Inputs, observe
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.records import PolicyInfo, Record
+from g1stream.text import counted, labelled, table
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from g1stream.app.session import Session
+    from g1stream.session.streams import PolicyStream
+    from g1stream.types import Floats
+
+__all__ = ["ActionDifference", "PolicyReplay", "TermDifference", "replay_policy"]
+
+#: What single precision leaves of values of this size; more is another value.
+_SAME: Final = 1e-5
+_LABEL: Final = 16
+#: Ticks between the Reference of a step and that of its command, at most.
+_NEAR: Final = 64
+#: Motion times that differ by less are the same, s.
+_SAME_TIME: Final = 1e-6
+
+
+#: Why observations cannot be made anew.
+_LACKS: Final = "their LowState or Reference is not in the session"
+_LATER: Final = "the session lacks a step since the policy took over"
+
+
+class ActionDifference(Record, frozen=True):
+    """The first action that is not the recorded one, bit for bit.
+
+    Attributes:
+        step: of the policy, since it took the robot over.
+        time_s: on the motion's clock.
+        joint: whose action it is, the first in motor order.
+        recorded, replayed: its action; None where that is not finite.
+    """
+
+    step: int
+    time_s: float
+    joint: str
+    recorded: float | None
+    replayed: float | None
+
+
+class TermDifference(Record, frozen=True):
+    """How far a term that is made anew is from the recorded one, all steps.
+
+    Attributes:
+        max_abs: the largest difference, in the units of the observation, scale included; None where
+            no step could be made anew.
+        step: the first step that differs by more than 1e-5; None where none does.
+        time_s: of that step, on the motion's clock.
+    """
+
+    max_abs: float | None
+    step: int | None = None
+    time_s: float | None = None
+
+
+class PolicyReplay(Record, frozen=True):
+    """A session played again through a policy.
+
+    Attributes:
+        session: its path.
+        policy: path of the ONNX file.
+        same_file: whether that is the one that was recorded, by its SHA-256; None: not recorded.
+        steps: recorded ones.
+        differing: of these, how many actions are not the recorded ones, bit for bit.
+        max_abs: the largest difference of an action.
+        first: the first one.
+        rebuilt: steps whose observation could be made anew.
+        left_out: why others could not, and how many.
+        terms: by name, in order.
+    """
+
+    session: str
+    policy: str
+    same_file: bool | None
+    steps: int
+    differing: int
+    max_abs: float
+    first: ActionDifference | None
+    rebuilt: int
+    left_out: dict[str, int]
+    terms: dict[str, TermDifference]
+
+    @property
+    def same(self) -> bool:
+        """Whether all actions and all terms are the recorded ones."""
+        return not self.differing and all(one.step is None for one in self.terms.values())
+
+    def __str__(self) -> str:
+        other = " (not the file that was recorded)" if self.same_file is False else ""
+        lines = [
+            labelled(f"{'session':<{_LABEL}}", self.session),
+            labelled(f"{'policy':<{_LABEL}}", self.policy + other),
+            labelled(f"{'actions':<{_LABEL}}", self._actions()),
+            labelled(
+                f"{'observations':<{_LABEL}}",
+                f"{self.rebuilt} of {self.steps} made anew of LowState and Reference"
+                + "".join(f"; {n} left out: {why}" for why, n in self.left_out.items()),
+            ),
+        ]
+        rows = [["term", "largest difference", f"first beyond {_SAME:g}", "at s"]]
+        for name, one in self.terms.items():
+            first = ("", "") if one.step is None else (f"step {one.step}", f"{one.time_s:.2f}")
+            rows.append([name, "" if one.max_abs is None else f"{one.max_abs:.2g}", *first])
+        return "\n".join([*lines, "", *table(rows, {0})])
+
+    def _actions(self) -> str:
+        first = self.first
+        if first is None:
+            return f"all {self.steps} are the recorded ones, bit for bit"
+        return (
+            f"{self.differing} of {self.steps} differ, by up to {self.max_abs:.3g}; first at step "
+            f"{first.step} ({first.time_s:.2f} s), {first.joint}: recorded "
+            f"{_shown(first.recorded)}, replayed {_shown(first.replayed)}"
+        )
+
+
+def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyReplay:
+    """Play a session again through its policy, or through another one of the same contract.
+
+    Args:
+        session: with the steps of a policy.
+        policy: ONNX file; the one that was recorded if None.
+
+    Raises:
+        RecordingError: the session has no steps of a policy.
+        ConfigError: the policy is not there any more, has changed, or takes another observation.
+    """
+    steps, info = session.policy, session.policy_info
+    if steps is None:
+        raise RecordingError(
+            f"{session.path} has no steps of a policy.",
+            "Record a stream with --policy by this version of g1stream.",
+        )
+    network = Network(_file(session) if policy is None else policy)
+    same = None
+    if info and info.sha256:
+        same = (info.sha256, info.data_sha256) == (network.sha256, network.data_sha256)
+    if policy is None and same is False:
+        raise ConfigError(
+            f"{network.path} has changed since {session.path} was recorded: its SHA-256 is another "
+            "one.",
+            "Name the ONNX file that played before --replay, or this one to compare with.",
+        )
+    if network.width != steps.observation.shape[1] or network.n_actions != len(JOINT_NAMES):
+        raise ConfigError(
+            f"{network.path} takes {counted(network.width, 'value')}, and the session has "
+            f"observations of {steps.observation.shape[1]}.",
+            "Give the policy that was played, or one of the same contract.",
+        )
+    contract = _contract(session, network)
+    columns = PolicyInfo(contract=contract.model_dump(mode="json")).columns
+    rebuilt, left_out = _observations(session, steps, contract)
+    return PolicyReplay(
+        session=str(session.path),
+        policy=str(network.path),
+        same_file=same,
+        steps=len(steps),
+        rebuilt=int(np.isfinite(rebuilt).all(axis=1).sum()),
+        left_out=left_out,
+        terms={
+            name: _term(steps, steps.observation[:, at] - rebuilt[:, at])
+            for name, at in columns.items()
+        },
+        **_actions(steps, contract, network),
+    )
+
+
+def _contract(session: Session, network: Network) -> PolicyContract:
+    """What was recorded; of a recorder that was not told, what the file says now."""
+    info = session.policy_info
+    try:
+        return PolicyContract.model_validate(info.contract if info else {})
+    except ValidationError:
+        return read_contract(network, session.robot)
+
+
+def _file(session: Session) -> Path:
+    """The file that was recorded, if it is still the same."""
+    info = session.policy_info
+    path = Path(info.path) if info and info.path else None
+    if path is None or not path.is_file():
+        raise ConfigError(
+            f"The policy of {session.path}, {path or 'whose file is not named'}, is not there.",
+            "Name its ONNX file before --replay.",
+        )
+    return path
+
+
+def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) -> dict[str, Any]:
+    """The fields of `PolicyReplay` about actions."""
+    replayed = np.empty_like(steps.action)
+    for i, observation in enumerate(steps.observation):
+        replayed[i, contract.order] = network.act(observation)
+    differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
+    # NaN has many bit patterns, all of which say the same.
+    differing &= ~(np.isnan(steps.action) & np.isnan(replayed))
+    rows = np.flatnonzero(differing.any(axis=1))
+    apart = np.abs(steps.action.astype(np.float64) - replayed)
+    first = None
+    if len(rows):
+        at, joint = int(rows[0]), int(differing[rows[0]].argmax())
+        first = ActionDifference(
+            step=int(steps.step[at]),
+            time_s=float(steps.time[at]),
+            joint=JOINT_NAMES[joint],
+            recorded=_finite(steps.action[at, joint]),
+            replayed=_finite(replayed[at, joint]),
+        )
+    largest = float(np.max(apart[np.isfinite(apart)], initial=0.0))
+    return {"differing": len(rows), "max_abs": largest, "first": first}
+
+
+class _Run(NamedTuple):
+    """What a step takes from those before it."""
+
+    step: int
+    yaw0: Floats
+    origin: tuple[Floats, Floats]
+    action: Floats  # (29,) in the policy's order, the last finite one
+
+    def after(self, step: int, action: Floats, *, finite: bool) -> _Run:
+        """What the step after this one takes."""
+        return self._replace(step=step, action=action if finite else self.action)
+
+
+def _observations(
+    session: Session, steps: PolicyStream, contract: PolicyContract
+) -> tuple[Floats, dict[str, int]]:
+    """Observations (N, K) made anew, NaN where they cannot be; and why not, with how often."""
+    states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
+    references = _references(session, steps)
+    measured, reference = session.measured, session.reference
+    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+    default, order, robot = np.array(contract.default_pos), contract.order, session.robot
+    rebuilt = np.full(steps.observation.shape, np.nan)
+    left_out: dict[str, int] = {}
+    run: _Run | None = None
+    for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
+        action = steps.action[i].astype(np.float64)[order]
+        if number and run is not None and run.step != number - 1:
+            run = None
+        known = s >= 0 and r >= 0
+        if not known or (number and run is None):
+            why = _LACKS if not known else _LATER
+            left_out[why] = left_out.get(why, 0) + 1
+            run = run and run.after(number, action, finite=not steps.repeated[i])
+            continue
+        state = state_of(
+            contract,
+            robot,
+            measured.q[s],
+            measured.dq[s],
+            measured.imu_quat_wxyz[s],
+            measured.gyroscope[s],
+        )
+        pose = reference.root_pos[r], reference.root_quat_wxyz[r]
+        dq = reference.dq[r] / steps.time_scale[i]
+        frame = frame_of(contract, robot, reference.q[r], dq, *pose)
+        if run is None or not number:
+            run = _Run(number, *begin(state.anchor, frame.anchor), np.zeros(len(default)))
+        inputs = Inputs(
+            state,
+            frame,
+            run.yaw0,
+            run.origin,
+            order,
+            default,
+            run.action,
+            np.zeros(3),
+            np.full(2, np.pi),
+        )
+        observation = observe(terms, inputs)
+        if contract.clip:
+            observation = np.clip(observation, -contract.clip, contract.clip)
+        rebuilt[i] = observation
+        run = run.after(number, action, finite=not steps.repeated[i])
+    return rebuilt, left_out
+
+
+def _references(session: Session, steps: PolicyStream) -> list[int]:
+    """For each step the index of the Reference that it observed, -1 where that was not published.
+
+    It is some ticks ahead of the one of its command. Of those with its motion time, as before and
+    after a motion, it is the nearest one.
+    """
+    reference = session.reference
+    beside = np.searchsorted(reference.publish_time, steps.publish_time)
+    indices = []
+    for at, motion_time in zip(beside.tolist(), steps.motion_time.tolist(), strict=True):
+        near = slice(max(0, at - _NEAR), at + _NEAR)
+        same = np.abs(reference.motion_time[near] - motion_time) < _SAME_TIME
+        found = np.flatnonzero(same & (reference.phase[near] >= Phase.PLAY)) + near.start
+        indices.append(int(found[np.abs(found - at).argmin()]) if len(found) else -1)
+    return indices
+
+
+def _found(times: Any, wanted: Any) -> list[int]:
+    """The index of each wanted time among `times`; -1 where it is not there."""
+    by_time = {time: i for i, time in enumerate(times.tolist())}
+    return [by_time.get(time, -1) for time in wanted.tolist()]
+
+
+def _term(steps: PolicyStream, difference: Floats) -> TermDifference:
+    largest = np.abs(difference).max(axis=1, initial=0.0)
+    known = np.isfinite(largest)
+    beyond = np.flatnonzero(known & (largest > _SAME))
+    most = float(largest[known].max()) if known.any() else None
+    if not len(beyond):
+        return TermDifference(max_abs=most)
+    at = int(beyond[0])
+    return TermDifference(max_abs=most, step=int(steps.step[at]), time_s=float(steps.time[at]))
+
+
+def _finite(value: np.floating[Any]) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _shown(value: float | None) -> str:
+    return "not finite" if value is None else f"{value:.9g}"

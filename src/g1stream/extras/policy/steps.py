@@ -1,0 +1,407 @@
+"""The steps of a policy in a session: its delays, its terms, and what went first before a fall.
+
+A sign before a fall is what is, from some time in the last two seconds on, three times as far from
+the middle of its range as in all the run before. No statistics of the training are used, and none
+are assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from g1stream.analysis.summarise import percentiles
+from g1stream.errors import RobotError
+from g1stream.extras.policy.contract import PolicyContract
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import quat_rotate_inverse
+from g1stream.robot.soles import SIDES, Soles
+from g1stream.session.records import Percentiles, Record
+from g1stream.text import short_name
+from g1stream.types import Floats, Phase
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.app.session import Session
+    from g1stream.session.streams import PolicyStream
+
+__all__ = ["Fall", "PolicySteps", "Sign", "TermFigures", "policy_steps"]
+
+#: A fall: the pelvis is tilted against the reference by this, rad, or below it by this, m.
+_TILTED, _BELOW = 0.8, 0.25
+#: How long before a fall signs are looked for, s; of a shorter run half of it.
+_WINDOW: Final = 2.0
+#: A motor at this share of its limit is at it; for so long it counts, s.
+_SATURATED, _SHORTEST = 0.99, 0.01
+#: A value so many times as far from the middle of its range as ever before has left it.
+_FARTHER: Final = 3.0
+#: What is back within its range for so long, s, is no sign.
+_BACK: Final = 0.3
+#: The least half of a range: heights of soles, m.
+_FLOORS: Final = {"contact": 0.02}
+#: An interval of so many steps is a gap.
+_GAP: Final = 1.5
+#: Terms that do not depend on the robot.
+_ASKED: Final = ("motion_command", "velocity_commands", "command_lin_vel", "command_ang_vel")
+#: The action of the step before, which is looked at itself.
+_REPEATED: Final = "last_action"
+_UP: Final = np.array([0.0, 0.0, 1.0])
+
+Kind = Literal["term", "action", "torque", "contact", "time"]
+
+
+class TermFigures(Record, frozen=True):
+    """A term of the observation, over all steps before a fall.
+
+    Attributes:
+        mean, std: over its values, in the units of the observation.
+        deviation: in the last second before the fall, of the value that is farthest from its mean
+            of the run before, in its own standard deviations there; None without a fall.
+        of: that value.
+    """
+
+    mean: float
+    std: float
+    deviation: float | None = None
+    of: str | None = None
+
+
+class Sign(Record, frozen=True):
+    """What went wrong before a fall.
+
+    Attributes:
+        kind: what it is one of.
+        what: it, in words.
+        time_s: since when, on the motion's clock.
+    """
+
+    kind: Kind
+    what: str
+    time_s: float
+
+
+class Fall(Record, frozen=True):
+    """A fall, and what came before it.
+
+    Attributes:
+        time_s: on the motion's clock.
+        why: how it is told.
+        signs: the first of each kind, the earliest first.
+    """
+
+    time_s: float
+    why: str
+    signs: list[Sign]
+
+    def __str__(self) -> str:
+        text = f"The robot fell at {self.time_s:.2f} s: {self.why}."
+        if not self.signs:
+            return f"{text} Nothing left its range in the {_WINDOW:g} s before."
+        first, *others = self.signs
+        then = "; then ".join(f"{one.what}, {self._before(one)}" for one in others)
+        return (
+            f"{text} First, {self._before(first)}: {first.what}{f'; then {then}' if then else ''}."
+        )
+
+    def _before(self, sign: Sign) -> str:
+        return f"{self.time_s - sign.time_s:.2f} s before"
+
+
+class PolicySteps(Record, frozen=True):
+    """What the steps of a policy say of a run.
+
+    Attributes:
+        policy: path of its ONNX file.
+        steps: how many.
+        step_s: between two; the slack of the delays.
+        repeated: steps whose action was not finite.
+        late: intervals between steps of one and a half steps or more.
+        delay_s: from the publish time of the LowState to that of the command.
+        state_age_s: from the reception of the LowState to the observation.
+        inference_s: in the network; 0 in a rollout.
+        saturated: joint -> share of the states while the policy ran in which its motor was at 99 %
+            of its limit or more, the highest first.
+        terms: by name, in order.
+        fall: None where the robot did not fall.
+    """
+
+    policy: str | None
+    steps: int
+    step_s: float
+    repeated: int
+    late: int
+    delay_s: Percentiles | None
+    state_age_s: Percentiles
+    inference_s: Percentiles
+    saturated: dict[str, float]
+    terms: dict[str, TermFigures]
+    fall: Fall | None
+
+
+class _Trace(NamedTuple):
+    """Values over time, of which a sign may be one: values (T, J) at times (T,), and J names."""
+
+    kind: Kind
+    names: list[str]
+    time: Floats
+    values: Floats
+
+
+def policy_steps(session: Session) -> PolicySteps | None:
+    """What the steps of a policy say; None where a session has none.
+
+    Raises:
+        RecordingError: the file is damaged.
+    """
+    steps, info = session.policy, session.policy_info
+    if steps is None or len(steps) < 2:
+        return None
+    contract = _contract(session)
+    step = 1.0 / contract.rate if contract else float(np.median(np.diff(steps.time)))
+    terms = list(_terms(steps, contract))
+    begin, fall = float(steps.time[0]), _fall(session)
+    told, window = None, 0.0
+    if fall:
+        window = min(_WINDOW, 0.5 * (fall[0] - begin))
+        traces = [*terms, _actions(steps, contract), *_contacts(session, steps)]
+        signs = [*_left(traces, fall[0], window), *_times(session, steps, step, fall[0], window)]
+        signs += _torques(session, begin, fall[0], window)
+        told = Fall(time_s=fall[0], why=fall[1], signs=_first(signs))
+    end = fall[0] if fall else float(steps.time[-1])
+    known = steps.delay[np.isfinite(steps.delay)]
+    return PolicySteps(
+        policy=info.path if info else None,
+        steps=len(steps),
+        step_s=step,
+        repeated=int((steps.repeated > 0).sum()),
+        late=int((np.diff(steps.time) >= _GAP * step).sum()),
+        delay_s=percentiles(known) if len(known) else None,
+        state_age_s=percentiles(steps.state_age),
+        inference_s=percentiles(steps.inference_time),
+        saturated=_saturated(session, begin, end),
+        terms={
+            name: _figures(trace, steps.observation[:, at].astype(np.float64), fall, window)
+            for (name, at), trace in zip(steps.terms.items(), terms, strict=True)
+        },
+        fall=told,
+    )
+
+
+def _contract(session: Session) -> PolicyContract | None:
+    info = session.policy_info
+    try:
+        return PolicyContract.model_validate(info.contract if info else {})
+    except ValidationError:
+        return None
+
+
+def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Trace]:
+    """The terms of an observation; joints less what is asked of them, where that is observed."""
+    asked = steps.terms.get("motion_command")
+    scales = {one.name: np.array(one.scale) for one in contract.terms} if contract else {}
+    for name, at in steps.terms.items():
+        values = steps.observation[:, at].astype(np.float64)
+        n, names = values.shape[1], [f"{name}[{i}]" for i in range(values.shape[1])]
+        if contract and n == len(contract.joint_names):
+            names = [f"{name} of {short_name(joint)}" for joint in contract.joint_names]
+        if (
+            contract
+            and asked
+            and name in ("joint_pos_rel", "joint_vel_rel")
+            and n == len(JOINT_NAMES)
+        ):
+            part = asked.start if name == "joint_pos_rel" else asked.start + n
+            reference = steps.observation[:, part : part + n] / scales["motion_command"].mean()
+            less = np.array(contract.default_pos) if name == "joint_pos_rel" else 0.0
+            values = values - (reference - less) * scales[name]
+            names = [f"{one} less the reference's" for one in names]
+        yield _Trace("term", names, steps.time, values)
+
+
+def _actions(steps: PolicyStream, contract: PolicyContract | None) -> _Trace:
+    """Actions less the one that asks for the reference, where that is observed."""
+    names = [f"the action of {short_name(joint)}" for joint in JOINT_NAMES]
+    values = steps.action.astype(np.float64)
+    asked = steps.terms.get("motion_command")
+    if contract and asked:
+        scale = next(np.array(one.scale) for one in contract.terms if one.name == "motion_command")
+        n = len(JOINT_NAMES)
+        reference = steps.observation[:, asked.start : asked.start + n] / scale.mean()
+        less = (reference - np.array(contract.default_pos)) / np.array(contract.action_scale)
+        values[:, contract.order] -= less
+    return _Trace("action", names, steps.time, values)
+
+
+def _contacts(session: Session, steps: PolicyStream) -> Iterator[_Trace]:
+    """How much higher each sole is than the reference's, where the base is published."""
+    base, measured, reference = session.base, session.measured, session.reference
+    if base is None:
+        return
+    try:
+        soles = Soles(session.robot)
+    except RobotError:
+        return
+    heights = []
+    for stream, quat, pos in (
+        (measured, measured.imu_quat_wxyz, None),
+        (reference, reference.root_quat_wxyz, reference.root_pos),
+    ):
+        at = np.searchsorted(stream.time, steps.time).clip(0, len(stream) - 1)
+        if pos is None:
+            place = base.position[np.searchsorted(base.time, steps.time).clip(0, len(base) - 1)]
+        else:
+            place = pos[at]
+        corners = soles.path(stream.q[at], place, quat[at])[..., 2]
+        heights.append(corners.reshape(len(corners), len(SIDES), -1).min(axis=2))
+    names = [f"the height of the {side} sole" for side in SIDES]
+    yield _Trace("contact", names, steps.time, heights[0] - heights[1])
+
+
+def _left(traces: list[_Trace], fall: float, window: float) -> Iterator[Sign]:
+    """What is, until the fall, farther from the middle of its range than ever before it."""
+    for kind, names, time, values in traces:
+        before, late = time < fall - window, (time >= fall - window) & (time <= fall)
+        if before.sum() < 2 or not late.any() or names[0].startswith((*_ASKED, _REPEATED)):
+            continue
+        least, most = values[before].min(axis=0), values[before].max(axis=0)
+        half = np.maximum(0.5 * (most - least), _FLOORS.get(kind, 1e-9))
+        far = np.abs(values[late] - 0.5 * (most + least)) > _FARTHER * half
+        # What a motion brings for a moment comes back; what leads to a fall does not.
+        first = {of: _since(time[late], far[:, of], fall) for of in np.flatnonzero(far.any(axis=0))}
+        known = {of: at for of, at in first.items() if at is not None}
+        if known:
+            of = min(known, key=lambda one: (known[one], -np.abs(values[late][-1, one])))
+            value = values[time == known[of]][0, of]
+            usual = f"{least[of]:.3g} to {most[of]:.3g}"
+            what = f"{names[of]} was {value:.3g}, in all the run before {usual}"
+            yield Sign(kind=kind, what=what, time_s=float(known[of]))
+
+
+def _since(time: Floats, far: NDArray[np.bool_], fall: float) -> float | None:
+    """Since when it is far until the fall, but for moments; None where it came back."""
+    rows = np.flatnonzero(far)
+    back = np.flatnonzero(np.diff(np.append(time[rows], fall)) > _BACK)
+    first = int(back[-1]) + 1 if len(back) else 0
+    return float(time[rows[first]]) if first < len(rows) else None
+
+
+def _times(
+    session: Session, steps: PolicyStream, step: float, fall: float, window: float
+) -> Iterator[Sign]:
+    """Gaps of LowState or of steps, delays of a whole step, and actions that are not finite."""
+    states = np.sort(session.measured.time)
+    for time, apart, what in (
+        (states[1:], np.diff(states), "LowState came {:.0f} ms after the one before"),
+        (steps.time[1:], np.diff(steps.time) / _GAP, "a step came {:.0f} ms after the one before"),
+        (steps.time, steps.delay, "a command followed {:.0f} ms after its LowState"),
+    ):
+        late = (time >= fall - window) & (time <= fall)
+        usual = np.nanmax(apart[time < fall - window], initial=0.0)
+        found = np.flatnonzero(late & (apart > max(step, usual)))
+        if len(found):
+            at = int(found[0])
+            length = apart[at] * (_GAP if what.startswith("a step") else 1.0)
+            yield Sign(kind="time", what=what.format(1e3 * length), time_s=float(time[at]))
+    late = (steps.time >= fall - window) & (steps.time <= fall)
+    found = np.flatnonzero(late & (steps.repeated > 0))
+    if len(found):
+        what = "an action was not finite"
+        yield Sign(kind="action", what=what, time_s=float(steps.time[found[0]]))
+
+
+def _torques(session: Session, begin: float, fall: float, window: float) -> Iterator[Sign]:
+    """Motors at their limits for longer than ever before."""
+    time, full = _at_limit(session)
+    for joint in np.flatnonzero(full.any(axis=0)):
+        runs = list(_runs(full[:, joint]))
+        spans = [(float(time[a]), float(time[b] - time[a])) for a, b in runs]
+        usual = max((n for at, n in spans if begin <= at < fall - window), default=0.0)
+        for at, length in spans:
+            if fall - window <= at <= fall and length > max(usual, _SHORTEST):
+                what = f"{short_name(JOINT_NAMES[joint])} was at its torque limit"
+                yield Sign(kind="torque", what=what, time_s=at)
+                break
+
+
+def _at_limit(session: Session) -> tuple[Floats, NDArray[np.bool_]]:
+    """Times (T,) of the states, s, and which motors (T, 29) are at their limits."""
+    measured, limit = session.measured, session.robot.torque_limit
+    full = (np.abs(measured.tau) >= _SATURATED * limit) & (limit > 0.0)
+    return measured.time, full
+
+
+def _saturated(session: Session, begin: float, end: float) -> dict[str, float]:
+    time, full = _at_limit(session)
+    inside = (time >= begin) & (time <= end)
+    shares = full[inside].mean(axis=0) if inside.any() else np.zeros(len(JOINT_NAMES))
+    order = np.argsort(-shares, kind="stable")
+    return {JOINT_NAMES[joint]: float(shares[joint]) for joint in order if shares[joint] > 0.0}
+
+
+def _runs(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """First and last index of each stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        yield first, after - 1
+
+
+def _first(signs: list[Sign]) -> list[Sign]:
+    """The first of each kind, in order of time."""
+    found: dict[str, Sign] = {}
+    for one in sorted(signs, key=lambda sign: sign.time_s):
+        found.setdefault(one.kind, one)
+    return list(found.values())
+
+
+def _fall(session: Session) -> tuple[float, str] | None:
+    """When the robot fell while it played or held, and how that is told."""
+    if not session.topics.get("/reference") or not session.topics.get("/lowstate"):
+        return None
+    measured, reference = session.measured, session.reference
+    time = measured.time
+    played = np.zeros(len(time), bool)
+    for one in session.phases:
+        if one.phase in (Phase.PLAY, Phase.HOLD):
+            played |= (time >= one.start_s) & (time <= one.end_s)
+    if not played.any():
+        return None
+    at = np.searchsorted(reference.time, time[played]).clip(0, len(reference) - 1)
+    ups = [
+        quat_rotate_inverse(quat, _UP)
+        for quat in (measured.imu_quat_wxyz[played], reference.root_quat_wxyz[at])
+    ]
+    tilt = np.arccos(np.clip(np.sum(ups[0] * ups[1], axis=1), -1.0, 1.0))
+    below = np.zeros(len(tilt))
+    if base := session.base:
+        height = np.interp(time[played], base.time, base.position[:, 2])
+        below = reference.root_pos[at, 2] - height
+    fallen = np.flatnonzero((tilt > _TILTED) | (below > _BELOW))
+    if not len(fallen):
+        return None
+    first = int(fallen[0])
+    why = f"the pelvis was {below[first]:.2f} m below the reference"
+    if tilt[first] > _TILTED:
+        why = f"the pelvis was tilted by {tilt[first]:.2f} rad against the reference"
+    return float(time[played][first]), why
+
+
+def _figures(
+    trace: _Trace, observed: Floats, fall: tuple[float, str] | None, window: float
+) -> TermFigures:
+    time = trace.time
+    before = time <= fall[0] if fall else np.ones(len(time), bool)
+    values = observed[before]
+    figures: dict[str, Any] = {"mean": float(values.mean()), "std": float(values.std())}
+    if fall:
+        run = trace.values[time < fall[0] - window]
+        last = trace.values[(time >= fall[0] - min(1.0, window)) & (time <= fall[0])]
+        if len(run) > 1 and len(last):
+            std = np.maximum(run.std(axis=0), 1e-9)
+            apart = (np.abs(last - run.mean(axis=0)) / std).max(axis=0)
+            of = int(apart.argmax())
+            figures |= {"deviation": float(apart[of]), "of": trace.names[of]}
+    return TermFigures(**figures)

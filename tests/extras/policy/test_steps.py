@@ -1,0 +1,389 @@
+"""The steps of a policy in a session: recorded, replayed, and read after a fall."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from onnx import helper, numpy_helper
+
+import g1stream
+from g1stream.cli.main import main
+from g1stream.config import Config
+from g1stream.dds.messages import PolicyStep
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.policy.replay import replay_policy
+from g1stream.extras.policy.steps import policy_steps
+from g1stream.extras.report.page import numbers
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.source import MemorySource
+from g1stream.types import Phase
+from known_policies import METADATA, network_of
+
+SHARED = Path(__file__).parents[4] / "shared"
+UNITREE = SHARED / "policies" / "unitree_dance1_subject2" / "policy.onnx"
+DANCE = SHARED / "lafan1" / "dance1_subject2.csv"
+TERMS = {
+    "motion_command": 58,
+    "motion_anchor_ori_b": 6,
+    "base_ang_vel": 3,
+    "joint_pos_rel": 29,
+    "joint_vel_rel": 29,
+    "last_action": 29,
+}
+
+needs_policies = pytest.mark.skipif(not UNITREE.exists(), reason="needs ../shared/policies")
+
+
+def save(path, weights, **told):
+    model = network_of()
+    model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, "weights"))
+    helper.set_model_props(model, METADATA | told)
+    onnx.save(model, path)
+    return path
+
+
+def weights(scale=0.02):
+    return np.random.default_rng(3).normal(0.0, scale, (154, 29)).astype(np.float32)
+
+
+def config(**values):
+    short = {"ramp": 0.5, "hold": 0.1, "damp": 0.5, "stand": 0.5}
+    # The actions of these policies mean nothing.
+    stream = {**short, "beyond_limits": "anyway", **values}
+    return Config.model_validate({"stream": stream})
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("policy")
+
+
+@pytest.fixture(scope="module")
+def falling(place):
+    """A session of a policy of an order of its own that cannot stand."""
+    order = ",".join(reversed(JOINT_NAMES))
+    path = save(place / "policy.onnx", weights(), joint_names=order)
+    session = g1stream.rollout("demo", policy=path, config=config(), seconds=2.0)
+    return g1stream.open_session(session.save(place / "falling.mcap"))
+
+
+@pytest.fixture(scope="module")
+def dance():
+    motion = g1stream.load_motion(DANCE).trim(0.0, 2.0)
+    return g1stream.rollout(motion, policy=UNITREE, config=config())
+
+
+def changed(session, place, act):
+    """A copy of a session whose messages on /policy `act` has changed in place."""
+    source, step = MemorySource("changed"), PolicyStep()
+    source.add_metadata(session.metadata)
+    for topic in ("/lowstate", "/reference", "/lowcmd", "/sportmodestate", "/policy"):
+        for i, message in enumerate(session.messages(topic)):
+            data = message.data
+            if topic == "/policy":
+                step.load(data)
+                if act(i, step) is False:
+                    continue
+                data = step.tobytes()
+            source.write(topic, data, message.log_time, message.publish_time)
+    return g1stream.Session(source)
+
+
+# --- the channel ---
+
+
+def test_each_step_is_in_the_session(falling):
+    steps, contract = falling.policy, falling.policy_info.contract
+    assert {name: at.stop - at.start for name, at in steps.terms.items()} == TERMS
+    assert (steps.observation.shape, steps.observation.dtype) == ((len(steps), 154), np.float32)
+    assert steps.step.tolist() == list(range(len(steps)))
+    assert np.unique(np.diff(steps.publish_time)).tolist() == [20_000_000]
+    assert steps.action[0] == pytest.approx((steps.observation[0] @ weights())[::-1], abs=1e-4)
+    np.testing.assert_array_equal(steps.observation[1:, -29:], steps.action[:-1, ::-1])
+    assert contract["joint_names"] == list(JOINT_NAMES[::-1])
+    part = steps[steps.step < 5]
+    assert (len(part), part.observation.shape, part.terms) == (5, (5, 154), steps.terms)
+
+
+def test_a_step_has_the_time_of_its_command_and_of_the_state_that_it_observed(falling):
+    steps, reference, measured = falling.policy, falling.reference, falling.measured
+    beside = np.searchsorted(reference.publish_time, steps.publish_time)
+    np.testing.assert_array_equal(reference.publish_time[beside], steps.publish_time)
+    np.testing.assert_array_equal(reference.tick[beside], steps.tick)
+    # In lockstep a state comes 1 ms before the tick that takes it, for the command of the next one.
+    assert np.unique(steps.delay).tolist() == [0.003]
+    assert np.isin(steps.state_published.astype(np.int64), measured.publish_time).all()
+    assert (steps.inference_time == 0.0).all()
+    target = np.array(METADATA["default_joint_pos"].split(","), float) + 0.5 * steps.action
+    np.testing.assert_allclose(falling.command.q[beside][0], target[0], atol=1e-5)
+
+
+def test_a_session_without_a_policy_has_none():
+    session = g1stream.rollout(
+        "demo", config=Config.model_validate({"stream": {"ramp": 0.5}}), seconds=0.2
+    )
+    assert session.policy is None
+    assert session.policy_info is None
+    assert policy_steps(session) is None
+    assert not {"/policy", "/policy/terms"} & set(session.topics)
+    assert "policy.json" not in session.attachments
+    with pytest.raises(RecordingError):
+        replay_policy(session)
+
+
+def test_another_reader_reads_the_channel_and_what_the_policy_is(falling):
+    found = {"/policy": [], "/policy/terms": []}
+    with falling.path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(["/policy"]):
+            found[channel.topic].append((message.publish_time, decoded))
+        for _, channel, message in reader.iter_messages(["/policy/terms"]):
+            found[channel.topic].append((message.publish_time, json.loads(message.data)))
+        (attached,) = (one for one in reader.iter_attachments() if one.name == "policy.json")
+    steps = falling.policy
+    raw, named = found["/policy"], found["/policy/terms"]
+    assert [time for time, _ in raw] == [time for time, _ in named] == steps.publish_time.tolist()
+    for i in (0, 1, len(steps) - 1):
+        assert raw[i][1].n_observation == 154
+        np.testing.assert_array_equal(raw[i][1].observation[:154], steps.observation[i])
+        np.testing.assert_array_equal(raw[i][1].action, steps.action[i])
+        observed = named[i][1]["observation"]
+        assert {name: len(values) for name, values in observed.items()} == TERMS
+        np.testing.assert_allclose(
+            np.concatenate(list(observed.values())), steps.observation[i], atol=1e-5
+        )
+        assert list(named[i][1]["action"]) == list(JOINT_NAMES)
+        assert named[i][1]["delay_ms"] == 3.0
+    told = json.loads(attached.data)
+    assert told["sha256"] == falling.policy_info.sha256
+    assert [term["name"] for term in told["contract"]["terms"]] == list(TERMS)
+
+
+def test_a_recording_by_a_recorder_that_was_not_told_has_one_term(falling, place):
+    source = MemorySource("alone")
+    for topic in ("/lowstate", "/reference", "/policy"):
+        for message in falling.messages(topic):
+            source.write(topic, message.data, message.log_time, message.publish_time)
+    session = g1stream.Session(source)
+    assert dict(session.policy.terms) == {}
+    assert session.policy.observation.shape[1] == 154
+    assert replay_policy(session, place / "policy.onnx").same
+    with pytest.raises(ConfigError):
+        replay_policy(session)
+
+
+@pytest.mark.parametrize(
+    "contract",
+    [{}, {"terms": 5}, {"terms": [{"name": "a"}]}, {"terms": [{"name": "a", "size": -1}]}],
+)
+def test_what_a_session_says_of_its_policy_may_be_anything(falling, contract):
+    source = MemorySource("odd")
+    source.add_metadata({"policy": {"contract": contract}})
+    for topic in ("/lowstate", "/reference", "/policy"):
+        for message in falling.messages(topic):
+            source.write(topic, message.data, message.log_time, message.publish_time)
+    session = g1stream.Session(source)
+    assert dict(session.policy.terms) == {}
+    assert policy_steps(session).terms == {}
+
+
+# --- replay ---
+
+
+def test_the_recorded_observations_give_the_recorded_actions(falling):
+    found = replay_policy(falling)
+    assert (found.differing, found.first, found.same, found.same_file) == (0, None, True, True)
+    assert found.rebuilt == found.steps == len(falling.policy)
+    assert found.left_out == {}
+    assert list(found.terms) == list(TERMS)
+    assert max(one.max_abs for one in found.terms.values()) < 1e-5
+
+
+def test_the_first_other_action_is_named(falling, place):
+    def act(i, step):
+        if i >= 3:
+            step.action[7] = np.nextafter(step.action[7], np.float32(np.inf))
+
+    found = replay_policy(changed(falling, place, act))
+    assert found.differing == found.steps - 3
+    assert (found.first.step, found.first.joint) == (3, JOINT_NAMES[7])
+    assert found.first.recorded == np.nextafter(
+        np.float32(found.first.replayed), np.float32(np.inf)
+    )
+    assert found.first.time_s == pytest.approx(falling.policy.time[3])
+
+
+def test_a_term_that_was_computed_otherwise_is_named(falling, place):
+    def act(i, step):
+        if i >= 4:
+            step.observation[64:67] *= 0.25
+
+    found = replay_policy(changed(falling, place, act))
+    beyond = {name: one.step for name, one in found.terms.items() if one.step is not None}
+    assert beyond == {"base_ang_vel": 4}
+    assert not found.same
+    turning = np.abs(falling.policy.observation[4:, 64:67]).max()
+    assert found.terms["base_ang_vel"].max_abs == pytest.approx(0.75 * turning, rel=1e-4)
+
+
+def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(falling, place):
+    def unknown(i, step):
+        if i == 5:
+            step.state_published[()] = 0
+
+    found = replay_policy(changed(falling, place, unknown))
+    assert (found.rebuilt, sum(found.left_out.values()), found.same) == (found.steps - 1, 1, True)
+    found = replay_policy(changed(falling, place, lambda i, _: i != 5))
+    assert (found.rebuilt, found.steps) == (5, len(falling.policy) - 1)
+    assert not found.differing
+
+
+def test_the_command_replays(falling, place, capsys):
+    assert main(["policy", "--replay", str(falling.path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["same"], told["differing"], told["steps"]) == (True, 0, len(falling.policy))
+    other = save(place / "other.onnx", weights() + np.float32(0.01))
+    assert main(["policy", str(other), "--replay", str(falling.path)]) == 1
+    narrow = place / "narrow.onnx"
+    onnx.save(network_of(width=160), narrow)
+    for wrong in (
+        [str(narrow), "--replay", str(falling.path)],
+        [],
+        ["--replay", str(falling.path), "--motion", "demo"],
+    ):
+        assert main(["policy", *wrong]) == 2
+        assert capsys.readouterr().err.count("\n") >= 2
+
+
+def test_a_file_that_has_changed_or_gone_is_no_default(falling, place, tmp_path):
+    path = place / "policy.onnx"
+    kept = shutil.copy(path, tmp_path / "kept.onnx")
+    try:
+        save(path, weights(0.03))
+        with pytest.raises(ConfigError):
+            replay_policy(falling)
+        assert replay_policy(falling, path).same_file is False
+        path.unlink()
+        with pytest.raises(ConfigError):
+            replay_policy(falling)
+        assert replay_policy(falling, kept).same
+    finally:
+        shutil.copy(kept, path)
+
+
+def nan_where_it_turns(path):
+    """A policy that holds the default pose, and gives NaN where the pelvis turns by 1 rad/s."""
+    model = network_of()
+    pick = np.zeros((154, 1), np.float32)
+    pick[65] = 1.0  # about the lateral axis
+    constants = {"weights": np.zeros((154, 29), np.float32), "pick": pick}
+    constants |= {"most": np.float32(1.0), "nan": np.float32(np.nan), "nothing": np.float32(0.0)}
+    del model.graph.initializer[:], model.graph.node[:]
+    model.graph.initializer.extend(
+        numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()
+    )
+    model.graph.node.extend(
+        helper.make_node(kind, takes, [gives])
+        for kind, takes, gives in (
+            ("MatMul", ["obs", "pick"], "turn"),
+            ("Abs", ["turn"], "speed"),
+            ("Greater", ["speed", "most"], "fast"),
+            ("Where", ["fast", "nan", "nothing"], "more"),
+            ("MatMul", ["obs", "weights"], "still"),
+            ("Add", ["still", "more"], "actions"),
+        )
+    )
+    helper.set_model_props(model, METADATA)
+    onnx.save(model, path)
+    return path
+
+
+def test_actions_that_are_not_finite_are_told_and_repeated(place):
+    path = nan_where_it_turns(place / "nan.onnx")
+    session = g1stream.rollout("demo", policy=path, config=config(), seconds=1.0)
+    steps = session.policy
+    wrong = np.flatnonzero(steps.repeated)
+    assert steps.repeated[wrong].tolist() == [1, 2, 3]
+    assert np.isnan(steps.action[wrong]).all()
+    assert np.isfinite(steps.action[: wrong[0]]).all()
+    assert np.isfinite(steps.observation).all()
+    found = replay_policy(session)
+    assert (found.differing, found.rebuilt, found.same) == (0, len(steps), True)
+    assert policy_steps(session).repeated == 3
+    rows = [json.loads(message.data) for message in session.messages("/policy/terms")]
+    assert set(rows[wrong[0]]["action"].values()) == {None}
+
+
+# --- what it says of a run ---
+
+
+def test_a_fall_is_found_and_what_came_before_it(falling):
+    found = policy_steps(falling)
+    fall, steps = found.fall, falling.policy
+    assert 0.0 < fall.time_s < float(steps.time[-1])
+    window = min(2.0, 0.5 * (fall.time_s - float(steps.time[0])))
+    times = [sign.time_s for sign in fall.signs]
+    assert times == sorted(times)
+    assert all(fall.time_s - window - 0.02 <= time <= fall.time_s for time in times)
+    kinds = [sign.kind for sign in fall.signs]
+    assert len(set(kinds)) == len(kinds)
+    assert {"term", "action"} & set(kinds)
+    assert (found.step_s, found.late, found.delay_s.max) == (0.02, 0, 0.003)
+    assert set(found.terms) == set(TERMS)
+    assert found.terms["joint_vel_rel"].deviation > 3.0
+    (told,) = numbers(falling)["sessions"]
+    assert told["policy"]["fall"]["time_s"] == fall.time_s
+
+
+def test_a_gap_of_lowstate_before_the_fall_is_the_first_sign(falling):
+    fall = policy_steps(falling).fall
+    source = MemorySource("gap")
+    source.add_metadata(falling.metadata)
+    since = falling.start_ns + round(1e9 * (fall.time_s - 0.3))
+    for topic in ("/reference", "/lowcmd", "/sportmodestate", "/policy", "/lowstate"):
+        for message in falling.messages(topic):
+            if topic != "/lowstate" or not 0 <= message.publish_time - since < 50_000_000:
+                source.write(topic, message.data, message.log_time, message.publish_time)
+    signs = policy_steps(g1stream.Session(source)).fall.signs
+    (gap,) = (sign for sign in signs if sign.kind == "time")
+    assert gap.time_s == pytest.approx(fall.time_s - 0.25, abs=0.005)
+
+
+def test_the_page_has_the_policy(falling, tmp_path):
+    text = g1stream.report(falling, tmp_path / "report.html").read_text()
+    fall = policy_steps(falling).fall
+    assert f"The robot fell at {fall.time_s:.2f} s" in text
+    assert 'data-key="sessions.0.policy.terms.joint_vel_rel.std"' in text
+    assert 'data-key="sessions.0.policy.delay_s.max"' in text
+
+
+def test_terms_of_two_sessions_are_compared(falling, place):
+    noise = g1stream.SensorNoise(seed=2)
+    other = g1stream.rollout(
+        "demo", policy=place / "policy.onnx", config=config(), seconds=2.0, noise=noise
+    )
+    terms = g1stream.compare(falling, other).terms
+    assert set(terms) == {f"{what} of {name}" for what in ("mean", "std") for name in TERMS}
+    assert terms["std of base_ang_vel"].base > 0.0
+
+
+# --- policies of others ---
+
+
+@needs_policies
+def test_a_policy_that_stands_has_no_fall(dance):
+    found = policy_steps(dance)
+    assert found.fall is None
+    assert found.late == found.repeated == 0
+    assert {one.phase for one in dance.phases} >= {Phase.PLAY, Phase.HOLD}
+    replayed = replay_policy(dance)
+    assert replayed.same
+    assert replayed.rebuilt == len(dance.policy)
+    assert dance.policy_info.data_sha256

@@ -38,7 +38,6 @@ from g1stream.robot.rotations import (
     quat_from_yaw,
     quat_mul,
     quat_rotate_inverse,
-    rotation_vector,
     yaw_of,
 )
 from g1stream.session.records import PolicyInfo
@@ -68,8 +67,8 @@ _CARRIED: Final = 0.1, 0.5
 _LOAD_PERIOD: Final = 0.02
 #: How many times in a row an action may be repeated, because the new one is late or not finite.
 _REPEATED: Final = 2
-#: The robot falls: its pelvis is tilted by this against the reference, rad. Two policies that danced
-#: for two minutes, in simulators that stalled, were tilted by 0.41 at most.
+#: The robot falls: its pelvis is tilted by this against the reference, rad. Two policies that
+#: danced for two minutes, in simulators that stalled, were tilted by 0.41 at most.
 _TILTED: Final = 0.6
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
@@ -194,8 +193,9 @@ class PolicyTargets(Source):
             self._alignment = begin(self._state(moment).anchor, self._reference(target).anchor)
         if moment.time > self._next - 0.5 / self._settings.rate:
             self._step(moment)
-            # Steps that a leap of the motion's clock has left out are not made up for.
-            self._next = max(self._next, moment.time - self.step_time) + self.step_time
+            self._next += self.step_time
+            if self._next <= moment.time:  # what a leap of the motion's clock has left out is lost
+                self._next = moment.time + self.step_time
             self._last = moment.time
         self._watch(moment)
         return self.repeated(target)
@@ -312,9 +312,11 @@ class BackToStanding:
         way = self._pose - standing.q
         rise = np.array([0.0, 0.0, self._height - standing.root_pos[2]])
         upright = quat_from_yaw(yaw_of(standing.root_quat_wxyz))
-        turn = rotation_vector(quat_mul(quat_conj(standing.root_quat_wxyz), upright))
-        angle = float(np.linalg.norm(turn))
-        axis = turn / angle if angle else _UP
+        turn = quat_mul(quat_conj(standing.root_quat_wxyz), upright)
+        turn = np.copysign(1.0, turn[0]) * turn  # the shorter way
+        sine = float(np.linalg.norm(turn[1:]))  # of half the angle
+        angle = 2.0 * math.atan2(sine, float(turn[0]))
+        axis = turn[1:] / sine if sine else _UP
 
         def target(elapsed: float, near: Floats) -> Target:
             progress, rate, change = minimum_jerk(min(1.0, elapsed / _BLEND))

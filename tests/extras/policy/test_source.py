@@ -1,0 +1,349 @@
+"""The targets of a policy: when it computes them, what it repeats, how it begins and ends."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+import g1stream
+from g1stream.config import load_config
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.sources import Moment
+from g1stream.control.targets import Target
+from g1stream.errors import ConfigError, SafetyError
+from g1stream.extras.policy.contract import read_contract
+from g1stream.extras.policy.feet_load import FeetLoad
+from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.odometry import LegOdometry
+from g1stream.extras.policy.source import BackToStanding, PolicyTargets
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import BaseMotion, InverseDynamics
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_rpy, quat_mul, tilt_of, yaw_of
+from g1stream.robot.soles import Soles
+from g1stream.types import Phase
+
+SHARED = Path(__file__).parents[4] / "shared"
+POLICIES = SHARED / "policies"
+DANCE = SHARED / "lafan1" / "dance1_subject2.csv"
+TRACKERS = ["unitree_dance1_subject2/policy.onnx", "holosoma_dance1_subject2.onnx"]
+needs_policies = pytest.mark.skipif(
+    not (POLICIES.is_dir() and DANCE.exists()),
+    reason="the policies of others are not there: ../shared/policies",
+)
+
+ROBOT = G1.default()
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def settings(path, **stream):
+    return load_config(
+        over={"stream.policy": str(path)} | {f"stream.{k}": v for k, v in stream.items()}
+    )
+
+
+def moving(seconds=2.0, fps=50.0):
+    """Arms that swing, above the floor, with a heading and a place of its own."""
+    times = np.arange(round(seconds * fps) + 1) / fps
+    joint_pos = np.zeros((len(times), 29))
+    joint_pos[:, 15] = 0.3 * np.sin(2.0 * np.pi * times)
+    return Motion(
+        name="swing",
+        fps=fps,
+        joint_pos=joint_pos,
+        root_pos=np.tile([1.0, 2.0, 0.8], (len(times), 1)),
+        root_quat_wxyz=np.tile(quat_from_rpy(np.array([0.0, 0.0, 1.0])), (len(times), 1)),
+    )
+
+
+@pytest.fixture
+def target():
+    return Target.from_point(0.0, Trajectory(moving()).sample(0.0))
+
+
+class Driven:
+    """A source whose commands are asked for every 2 ms of its time."""
+
+    def __init__(self, source, target):
+        self.source, self.target = source, target
+        self.time, self.took = 5.0, 0.0
+        self.quat, self.gyroscope = target.root_quat_wxyz, np.zeros(3)
+        source.begin("free", "free", None)
+
+    def command(self, phase=Phase.PLAY, passed=0.002):
+        imu = ImuReading(self.quat, self.gyroscope, np.array([0.0, 0.0, 9.81]))
+        measured = Reading(self.target.q, np.zeros(29), np.zeros(29), imu)
+        clock = iter([0, 0, round(1e9 * self.took)]).__next__
+        asked = self.source.command(
+            Moment(phase, 1.0, self.target, measured, 0.0, self.time, 0, clock)
+        )
+        self.time += passed
+        return asked
+
+    def steps(self, n, **about):
+        """How many of the next n commands the policy has computed anew."""
+        told = 0
+        for _ in range(n):
+            self.command(**about)
+            told += bool(self.source.told())
+        return told
+
+
+@pytest.fixture
+def driven(policy, target):
+    return Driven(PolicyTargets(settings(policy()), ROBOT), target)
+
+
+def test_a_policy_computes_at_its_own_rate(driven):
+    assert driven.steps(5, phase=Phase.RAMP) == 0
+    assert driven.steps(1) == 1
+    assert driven.steps(9) == 0
+    assert driven.steps(1) == 1
+    assert driven.steps(989) == 98
+
+
+def test_in_ramp_the_target_is_that_of_the_motion(driven, target):
+    assert driven.command(Phase.RAMP) is target
+    asked = driven.command()
+    assert not np.allclose(asked.q, target.q)
+    assert not asked.dq.any()
+    assert not asked.tau.any()
+
+
+def test_a_policy_waits_while_the_motion_waits(driven):
+    assert driven.steps(1) == 1
+    assert driven.steps(50, passed=0.0) == 0
+    driven.time += 0.1  # it catches up: five steps are left out
+    assert driven.steps(1) == 1
+    assert driven.steps(9) == 0
+
+
+def test_targets_are_of_the_contract(driven, policy):
+    """The weights are alike, so that each action is the sum of the observation."""
+    asked, target = driven.command(), driven.target
+    orientation = 2.0  # the first two columns of the unit matrix
+    action = 0.01 * (target.q.sum() + target.dq.sum() + orientation + (target.q - 0.1).sum())
+    assert asked.q == pytest.approx(0.1 + 0.5 * action, abs=1e-6)
+    assert driven.source.gains.kp == pytest.approx(np.full(29, 40.0))
+    assert driven.source.gains.kd == pytest.approx(np.full(29, 2.0))
+
+
+def test_what_is_not_finite_is_repeated_twice(policy, target, tmp_path):
+    """The square root of a negative sum."""
+    model = onnx.load(policy())
+    model.graph.node[0].output[0] = "sum"
+    model.graph.node.append(onnx.helper.make_node("Sqrt", ["sum"], ["actions"]))
+    onnx.save(model, path := tmp_path / "root.onnx")
+    it = Driven(PolicyTargets(settings(path), ROBOT), target)
+    it.gyroscope = np.full(3, 10.0)
+    finite = it.command().q
+    it.gyroscope = np.full(3, -10.0)
+    for _ in range(29):
+        assert np.array_equal(it.command().q, finite)
+    assert not it.source.fall
+    it.command()
+    assert "finite" in it.source.fall
+    assert np.array_equal(it.command().q, finite)
+
+
+def test_one_that_takes_longer_than_a_step_may_do_so_twice(driven):
+    driven.took = 0.03
+    driven.steps(11)
+    assert not driven.source.fall
+    driven.took = 0.01
+    driven.steps(10)
+    driven.took = 0.03
+    driven.steps(20)
+    assert not driven.source.fall
+    driven.steps(10)
+    assert "30 ms" in driven.source.fall
+
+
+@pytest.mark.parametrize(("tilt", "falls"), [(0.5, False), (0.7, True)])
+def test_a_robot_falls_by_its_tilt_against_the_reference(driven, tilt, falls):
+    leaning = quat_mul(driven.target.root_quat_wxyz, quat_from_rpy(np.array([0.0, 0.9, 0.0])))
+    driven.target = driven.target._replace(root_quat_wxyz=leaning)
+    driven.quat = quat_mul(leaning, quat_from_rpy(np.array([0.0, tilt, 0.0])))
+    driven.command()
+    assert bool(driven.source.fall) == falls
+
+
+def test_a_motion_begins_and_ends_with_the_still_pose(policy):
+    path = policy()
+    source = PolicyTargets(settings(path, stand=2.0), ROBOT)
+    motion, _ = source.change(moving(2.0))
+    still = np.full(29, 0.1)
+    assert motion.duration == pytest.approx(2.0 + 1.0 + 2.0 + 1.0, abs=0.05)
+    at = Trajectory(motion).sample
+    for time in (0.0, 1.0, 2.0, motion.duration):
+        assert at(time).joint_pos == pytest.approx(still, abs=1e-9)
+    assert motion.joint_pos[150:251] == pytest.approx(moving(2.0).joint_pos)
+    soles = Soles(ROBOT).path(motion.joint_pos[:1], motion.root_pos[:1], motion.root_quat_wxyz[:1])
+    assert soles[..., 2].min() == pytest.approx(0.0, abs=1e-3)
+    assert yaw_of(motion.root_quat_wxyz) == pytest.approx(np.full(motion.n_frames, 1.0))
+    assert source.reference_only
+
+
+def test_a_part_of_a_motion(policy):
+    source = PolicyTargets(settings(policy(), stand=1.0, start=0.5, duration=0.8), ROBOT)
+    motion, _ = source.change(moving(2.0))
+    assert motion.joint_pos[100:141] == pytest.approx(moving(2.0).joint_pos[25:66])
+    assert motion.duration == pytest.approx(1.0 + 1.0 + 0.8 + 1.0, abs=0.05)
+
+
+def test_the_way_back_to_standing(policy, target):
+    source = PolicyTargets(settings(policy(), stand=2.0), ROBOT)
+    down = source.way_down
+    assert isinstance(down, BackToStanding)
+    assert down.length == 3.0
+    leaning = quat_mul(target.root_quat_wxyz, quat_from_rpy(np.array([0.2, 0.3, 0.0])))
+    start = target._replace(root_quat_wxyz=leaning, q=np.linspace(-0.2, 0.2, 29)).at_rest()
+    assert down.possible(start)
+    at = down.plan(start)
+    begin, end = at(0.0, start.q), at(3.0, start.q)
+    assert begin.q == pytest.approx(start.q)
+    assert begin.root_quat_wxyz == pytest.approx(start.root_quat_wxyz)
+    assert end.q == pytest.approx(np.full(29, 0.1))
+    assert tilt_of(end.root_quat_wxyz) == pytest.approx(0.0, abs=1e-6)
+    assert yaw_of(end.root_quat_wxyz) == pytest.approx(yaw_of(leaning))
+    assert not np.concatenate([end.dq, end.ddq, end.root_lin_vel, end.root_ang_vel]).any()
+    step = 1e-4
+    for time in (0.2, 0.5, 0.9):
+        before, now, after = (at(time + shift, start.q) for shift in (-step, 0.0, step))
+        assert now.dq == pytest.approx((after.q - before.q) / (2 * step), abs=1e-4)
+        assert now.ddq == pytest.approx((after.dq - before.dq) / (2 * step), abs=1e-3)
+        speed = (after.root_pos - before.root_pos) / (2 * step)
+        assert now.root_lin_vel == pytest.approx(speed, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [
+        {"rate": 120.0},
+        {"loop": True, "duration": 2.0},
+        {"joints": "arms"},
+        {"via": "arm_sdk"},
+        {"support": "hanging"},
+        {"feedforward": "velocity"},
+    ],
+)
+def test_settings_that_do_not_go_with_a_policy(policy, stream):
+    with pytest.raises(ConfigError):
+        PolicyTargets(settings(policy(), **stream), ROBOT)
+
+
+def test_no_robot_is_commanded_by_a_policy(policy):
+    with pytest.raises(SafetyError):
+        PolicyTargets(settings(policy()), ROBOT, simulated=False)
+
+
+def test_a_simulator_that_holds_the_robot_is_refused(policy):
+    with pytest.raises(ConfigError):
+        PolicyTargets(settings(policy()), ROBOT).begin("free", "bolted", None)
+
+
+# --- how the feet take the weight ---
+
+
+def weighed(tau, q, quat=UPRIGHT):
+    return Reading(q, np.zeros(29), tau, ImuReading(quat, np.zeros(3), np.array([0, 0, 9.81])))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_the_share_of_the_weight_on_the_feet(share):
+    """Torques by virtual work: the feet push with a share of the weight, half on each."""
+    pose = np.zeros(29)
+    pose[[0, 6]], pose[[3, 9]], pose[[4, 10]] = -0.3, 0.6, -0.3
+    dynamics, soles = InverseDynamics(ROBOT), Soles(ROBOT)
+    rest = np.zeros(29)
+    gravity = dynamics.solve("bolted", pose, rest, rest, BaseMotion(UPRIGHT, np.zeros(3))).tau
+    push = 0.5 * share * dynamics.mass * dynamics.gravity
+    tau = gravity.copy()
+    for joint in range(12):
+        turned = np.repeat(pose[None], 2, axis=0)
+        turned[:, joint] += [-1e-3, 1e-3]
+        corners = soles.path(turned, np.zeros((2, 3)), np.repeat(UPRIGHT[None], 2, axis=0))
+        tau[joint] -= push * (corners[1] - corners[0])[:, 2].sum() / 4 / 2e-3
+    assert FeetLoad(ROBOT).share(weighed(tau, pose)) == pytest.approx(share, abs=0.01)
+
+
+def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(policy, target):
+    source = PolicyTargets(settings(policy()), ROBOT)
+    source.begin("free", None, None)
+    pose = np.zeros(29)
+    pose[[0, 6]], pose[[3, 9]], pose[[4, 10]] = -0.3, 0.6, -0.3
+    rest = np.zeros(29)
+    solve = InverseDynamics(ROBOT).solve
+    hanging = solve("bolted", pose, rest, rest, BaseMotion(UPRIGHT, np.zeros(3))).tau
+    standing = hanging.copy()
+    standing[[3, 9]] -= 20.0  # the knees carry it
+    for tau, waits in ((hanging, True), (standing, False)):
+        for i in range(40):
+            measured = weighed(tau, pose)
+            object.__setattr__(
+                measured, "received", round(1e9 * (10.0 + 0.02 * i + 5.0 * (not waits)))
+            )
+            source.observe(Phase.RAMP, measured, 1.0)
+        assert bool(source.awaited) == waits
+    source = PolicyTargets(settings(policy()), ROBOT)
+    source.begin("free", "free", None)
+    assert not source.awaited
+
+
+def test_leg_odometry_of_a_robot_that_shifts_over_its_feet():
+    """The soles stand; the pelvis moves by the joints that the standing soles ask for."""
+    odometry = LegOdometry(ROBOT)
+    corners = Soles(ROBOT)
+    height = 0.0
+    for i in range(51):
+        bent = 0.3 + 0.006 * i
+        pose = np.zeros(29)
+        pose[[0, 6]], pose[[3, 9]], pose[[4, 10]] = -bent, 2 * bent, -bent
+        odometry.update(pose, UPRIGHT, 0.02)
+        soles = corners.path(pose[None], np.zeros((1, 3)), UPRIGHT[None])
+        before, height = height, -float(soles[..., 2].min())
+    assert odometry.pos[2] == pytest.approx(height, abs=1e-6)
+    assert odometry.vel[2] == pytest.approx((height - before) / 0.02, abs=1e-6)
+    assert np.abs(odometry.pos[:2]).max() < 0.01
+
+
+# --- policies of others, in lockstep ---
+
+
+@needs_policies
+@pytest.mark.parametrize("name", TRACKERS)
+def test_a_dance_on_free_feet(name):
+    motion = g1stream.load_motion(DANCE)
+    config = load_config(over={"stream.duration": 6.0, "sim.command_delay": 0.004})
+    session = g1stream.rollout(motion, config=config, policy=POLICIES / name)
+    assert session.summary().termination.reason == ""
+    assert session.summary().stream.support == "free"
+    assert session.tracking().overall < 0.2
+    assert session.base.position[:, 2][session.base.time < 10.0].min() > 0.6
+
+
+@needs_policies
+def test_a_policy_that_holds_its_motion_is_a_motion_file():
+    motion = g1stream.load_motion(POLICIES / TRACKERS[1])
+    dance = g1stream.load_motion(DANCE)
+    assert (motion.fps, motion.n_frames) == (50.0, 6574)
+    assert motion.duration == pytest.approx(dance.duration, abs=0.02)
+    both = motion.resample(30.0)
+    n = min(both.n_frames, dance.n_frames)
+    assert np.sqrt(np.mean((both.joint_pos[:n] - dance.joint_pos[:n]) ** 2)) < 0.02
+    assert np.abs(both.root_pos[:n] - dance.root_pos[:n]).max() < 0.02
+
+
+@needs_policies
+def test_a_policy_that_asks_for_the_base_walks_with_leg_odometry():
+    path = POLICIES / "beyondmimic_29dof.onnx"
+    config = load_config(over={"stream.stand": 0.5, "stream.duration": 4.0})
+    session = g1stream.rollout(g1stream.load_motion(path), config=config, policy=path)
+    terms = read_contract(Network(path), ROBOT).terms
+    assert {"base_lin_vel", "motion_anchor_pos_b"} <= {term.name for term in terms}
+    playing = next(phase for phase in session.phases if phase.phase is Phase.PLAY)
+    walked = (session.base.time > playing.start_s) & (session.base.time < playing.start_s + 5.0)
+    assert session.base.position[walked, 2].min() > 0.6
+    assert np.ptp(session.base.position[walked, 0]) > 1.0

@@ -44,10 +44,12 @@ from g1stream.robot.joints import JOINT_NAMES as JOINT_NAMES
 from g1stream.robot.model import G1 as G1
 from g1stream.session.recording import Message as Message
 from g1stream.session.records import PhaseInterval as PhaseInterval
+from g1stream.session.records import PolicyInfo as PolicyInfo
 from g1stream.session.streams import BaseStream as BaseStream
 from g1stream.session.streams import CommandStream as CommandStream
 from g1stream.session.streams import LogEvent as LogEvent
 from g1stream.session.streams import MeasuredStream as MeasuredStream
+from g1stream.session.streams import PolicyStream as PolicyStream
 from g1stream.session.streams import ReferenceStream as ReferenceStream
 from g1stream.session.streams import Stream as Stream
 from g1stream.session.streams import TorsoImuStream as TorsoImuStream

@@ -15,12 +15,12 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
 from g1stream.session.recording import Recording
 from g1stream.session.source import SessionFiles
-from g1stream.session.streams import STREAMS
+from g1stream.session.streams import STREAMS, PolicyStream
 from g1stream.session.writer import SessionWriter
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import pandas
     from matplotlib.figure import Figure
@@ -195,8 +195,8 @@ class Session(Recording):
         Returns:
             A row for each sample, indexed by `publish_time`, UTC to the nanosecond, as is the
             column `log_time`; `time` is in s on the motion's clock. Other columns are named as
-            those of the topic's stream, arrays by joint or axis: `q.left_knee_joint`,
-            `root_pos.x`, `imu_quat_wxyz.w`. Units are those of the stream.
+            those of the topic's stream, arrays by joint, axis or term: `q.left_knee_joint`,
+            `root_pos.x`, `imu_quat_wxyz.w`, `base_ang_vel.0`. Units are those of the stream.
 
         Raises:
             ConfigError: pandas is not installed.
@@ -212,8 +212,9 @@ class Session(Recording):
             "log_time": table.to_datetime(stream.log_time, unit="ns", utc=True),
             "time": stream.time,
         }
+        terms = self.policy.terms if topic == PolicyStream.topic and self.policy else {}
         for name in stream.wire_fields():
-            columns |= _by_joint_or_axis(name, getattr(stream, name))
+            columns |= _by_joint_or_axis(name, getattr(stream, name), terms)
         index = table.to_datetime(stream.publish_time, unit="ns", utc=True)
         return table.DataFrame(columns, index=index.rename("publish_time"))
 
@@ -245,9 +246,14 @@ class Session(Recording):
         return paths
 
 
-def _by_joint_or_axis(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+def _by_joint_or_axis(
+    name: str, values: NDArray[Any], terms: Mapping[str, slice]
+) -> dict[str, NDArray[Any]]:
     """A column (N,) of a stream as one of the table, or one (N, K) as K."""
     if values.ndim == 1:
         return {name: values}
+    if name == "observation":
+        parts = {term: values[:, at] for term, at in terms.items()} or {name: values}
+        return {f"{term}.{i}": one for term, part in parts.items() for i, one in enumerate(part.T)}
     labels = JOINT_NAMES if values.shape[1] == N_JOINTS else _AXES[values.shape[1]]
     return {f"{name}.{label}": one for label, one in zip(labels, values.T, strict=True)}

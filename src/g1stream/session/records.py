@@ -175,12 +175,16 @@ class PolicyInfo(Record):
         path: of its ONNX file.
         sha256: of that file.
         data_sha256: of the file beside it that has its weights; None where there is none.
+        trained_mean, trained_std: of each value of the observation in training, where the network
+            normalises by them; empty where it does not.
         contract: what it takes and gives, as `g1stream policy --json` prints it.
     """
 
     path: str | None = None
     sha256: str | None = None
     data_sha256: str | None = None
+    trained_mean: list[float] = []
+    trained_std: list[float] = []
     contract: dict[str, Any] = {}
 
     @property

@@ -125,6 +125,15 @@ def test_a_step_has_the_time_of_its_command_and_of_the_state_that_it_observed(fa
     np.testing.assert_allclose(falling.command.q[beside][0], target[0], atol=1e-5)
 
 
+def test_a_table_names_terms_and_joints(falling):
+    pytest.importorskip("pandas")
+    table = falling.to_dataframe("/policy")
+    steps = falling.policy
+    np.testing.assert_array_equal(table["base_ang_vel.2"], steps.observation[:, 66])
+    np.testing.assert_array_equal(table["action.left_knee_joint"], steps.action[:, 3])
+    assert len(table.columns) == 2 + 10 + 154 + 29
+
+
 def test_a_session_without_a_policy_has_none():
     session = g1stream.rollout(
         "demo", config=Config.model_validate({"stream": {"ramp": 0.5}}), seconds=0.2

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from g1stream.errors import ConfigError
+from g1stream.extras.policy.normaliser import normaliser
 from g1stream.optional import import_extra
 from g1stream.types import Floats
 
@@ -96,6 +97,10 @@ class Network:
         """The action (joints,) for one observation (width,)."""
         action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
         return action
+
+    def normaliser(self) -> tuple[Floats, Floats] | None:
+        """Mean and deviation (width,) by which it normalises its observation; None: it does not."""
+        return normaliser(self.path, self._observation, self.width)
 
     def _check_size(self) -> Path | None:
         """The external data beside the file; None where there is none."""

@@ -29,8 +29,8 @@ class Policy(Command):
 
     Exit codes:
       0  printed
-      1  printed, and the first targets are far from the reference, or the session is another one
-      2  a fact is missing or wrong, it is no policy of a G1, or the session has none
+      1  printed; the first targets are far off, or a replay is not what was recorded
+      2  a fact is missing or wrong, no policy of a G1, or none in the session
     """
 
     file: str | None = flag(

@@ -212,7 +212,10 @@ class PolicyTargets(Source):
 
     def about(self) -> PolicyInfo | None:
         network = self._network
+        mean, std = network.normaliser() or ((), ())
         return PolicyInfo(
+            trained_mean=list(mean),
+            trained_std=list(std),
             path=str(network.path.absolute()),
             sha256=network.sha256,
             data_sha256=network.data_sha256,

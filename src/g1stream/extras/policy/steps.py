@@ -1,8 +1,8 @@
 """The steps of a policy in a session: its delays, its terms, and what went first before a fall.
 
 A sign before a fall is what is, from some time in the last two seconds on, three times as far from
-the middle of its range as in all the run before. No statistics of the training are used, and none
-are assumed.
+the middle of its range as in all the run before. What the training saw is told where the network
+normalises its observation by it, and not assumed where it does not.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from g1stream.extras.policy.contract import PolicyContract
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES, Soles
-from g1stream.session.records import Percentiles, Record
+from g1stream.session.records import Percentiles, PolicyInfo, Record
 from g1stream.text import short_name
 from g1stream.types import Floats, Phase
 
@@ -43,6 +43,8 @@ _FARTHER: Final = 3.0
 _BACK: Final = 0.3
 #: The least half of a range: heights of soles, m.
 _FLOORS: Final = {"contact": 0.02}
+#: So many standard deviations from the mean of the training, little or nothing was seen in it.
+_UNSEEN: Final = 5.0
 #: An interval of so many steps is a gap.
 _GAP: Final = 1.5
 #: Terms that do not depend on the robot.
@@ -62,12 +64,17 @@ class TermFigures(Record, frozen=True):
         deviation: in the last second before the fall, of the value that is farthest from its mean
             of the run before, in its own standard deviations there; None without a fall.
         of: that value.
+        trained_deviation: of the value that is farthest from the mean of the training, in standard
+            deviations there; None where the network does not have them.
+        beyond_training: share of the steps with a value farther than 5 of these.
     """
 
     mean: float
     std: float
     deviation: float | None = None
     of: str | None = None
+    trained_deviation: float | None = None
+    beyond_training: float | None = None
 
 
 class Sign(Record, frozen=True):
@@ -184,7 +191,7 @@ def policy_steps(session: Session) -> PolicySteps | None:
         inference_s=percentiles(steps.inference_time),
         saturated=_saturated(session, begin, end),
         terms={
-            name: _figures(trace, steps.observation[:, at].astype(np.float64), fall, window)
+            name: _figures(trace, steps, at, info, fall, window)
             for (name, at), trace in zip(steps.terms.items(), terms, strict=True)
         },
         fall=told,
@@ -390,12 +397,23 @@ def _fall(session: Session) -> tuple[float, str] | None:
 
 
 def _figures(
-    trace: _Trace, observed: Floats, fall: tuple[float, str] | None, window: float
+    trace: _Trace,
+    steps: PolicyStream,
+    at: slice,
+    info: PolicyInfo | None,
+    fall: tuple[float, str] | None,
+    window: float,
 ) -> TermFigures:
     time = trace.time
     before = time <= fall[0] if fall else np.ones(len(time), bool)
-    values = observed[before]
+    values = steps.observation[before, at].astype(np.float64)
     figures: dict[str, Any] = {"mean": float(values.mean()), "std": float(values.std())}
+    info = info or PolicyInfo()
+    mean, std = np.array(info.trained_mean), np.array(info.trained_std)
+    if len(mean) == len(std) == steps.observation.shape[1] and (std > 0.0).all():
+        apart = (np.abs(values - mean[at]) / std[at]).max(axis=1)
+        figures["trained_deviation"] = float(apart.max())
+        figures["beyond_training"] = float((apart > _UNSEEN).mean())
     if fall:
         run = trace.values[time < fall[0] - window]
         last = trace.values[(time >= fall[0] - min(1.0, window)) & (time <= fall[0])]

@@ -131,6 +131,8 @@ _TERMS: Final = (
     Column("std", "", "std", ".3f"),
     Column("deviation", "own std, last second", "deviation", ".1f"),
     Column("of", "", "of"),
+    Column("farthest", "std of the training", "trained_deviation", ".1f"),
+    Column("beyond 5 of them", "% of steps", "beyond_training", ".2f", 100.0),
 )
 _TOPICS: Final = (
     Column("messages", "", "count"),

@@ -1,0 +1,123 @@
+"""By what a network normalises its observation, which is what the training saw of it.
+
+A network of rsl_rl or holosoma begins with (observation - mean) / deviation, both constants.
+onnxruntime does not show constants, so that the few fields of ONNX's protobuf are read here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from g1stream.types import Floats
+
+__all__ = ["normaliser"]
+
+#: Numbers of fields, of ModelProto, GraphProto, NodeProto, TensorProto and StringStringEntryProto.
+_GRAPH, _NODE, _INITIALIZER = 7, 1, 5
+_INPUT, _OUTPUT, _OP_TYPE = 1, 2, 4
+_FLOATS, _NAME, _RAW, _EXTERNAL = 4, 8, 9, 13
+_KEY, _VALUE = 1, 2
+#: Between the observation and its normalisation.
+_PASSED: Final = {"Cast", "Squeeze", "Clip", "Identity"}
+
+Fields = dict[int, list[bytes]]
+
+
+class _Node(NamedTuple):
+    kind: str
+    takes: list[str]
+    gives: list[str]
+
+
+def normaliser(path: Path, observation: str, width: int) -> tuple[Floats, Floats] | None:
+    """Mean and deviation (width,) each, by which a network normalises its observation.
+
+    Args:
+        path: of the ONNX file.
+        observation: name of the input.
+        width: of it.
+
+    Returns:
+        None where it does not begin so.
+    """
+    try:
+        graph = _fields(_fields(path.read_bytes())[_GRAPH][0])
+        nodes = [_node(_fields(one)) for one in graph.get(_NODE, [])]
+        values = observation
+        for node in nodes:
+            if node.kind in _PASSED and node.takes[0] == values:
+                values = node.gives[0]
+            elif node.kind == "Sub" and node.takes[0] == values:
+                divided = next(
+                    one for one in nodes if one.kind == "Div" and one.takes[0] == node.gives[0]
+                )
+                tensors = {_text(one, _NAME): one for one in map(_fields, graph[_INITIALIZER])}
+                mean, deviation = (
+                    _values(tensors[name], path) for name in (node.takes[1], divided.takes[1])
+                )
+                sound = mean.size == deviation.size == width and (deviation > 0.0).all()
+                return (mean, deviation) if sound and np.isfinite(mean).all() else None
+    except (LookupError, OSError, StopIteration, UnicodeDecodeError, ValueError):
+        pass  # another layout, which onnxruntime reads all the same
+    return None
+
+
+def _node(fields: Fields) -> _Node:
+    names = ([one.decode() for one in fields.get(which, [])] for which in (_INPUT, _OUTPUT))
+    return _Node(_text(fields, _OP_TYPE), *names)
+
+
+def _text(fields: Fields, number: int) -> str:
+    return fields.get(number, [b""])[0].decode()
+
+
+def _values(tensor: Fields, path: Path) -> Floats:
+    """The values of a tensor of floats, in the file or beside it."""
+    data = b"".join(tensor.get(_RAW, []) or tensor.get(_FLOATS, []))
+    if _EXTERNAL in tensor:
+        entries = map(_fields, tensor[_EXTERNAL])
+        told = {_text(one, _KEY): _text(one, _VALUE) for one in entries}
+        with path.with_name(Path(told["location"]).name).open("rb") as file:
+            file.seek(int(told.get("offset", 0)))
+            data = file.read(int(told["length"]))
+    return np.frombuffer(data, "<f4").astype(np.float64)
+
+
+def _fields(message: bytes) -> Fields:
+    """The fields of a protobuf message that have a length, by number."""
+    found: Fields = {}
+    for number, data in _walk(message):
+        found.setdefault(number, []).append(data)
+    return found
+
+
+def _walk(message: bytes) -> Iterator[tuple[int, bytes]]:
+    at = 0
+    while at < len(message):
+        key, at = _varint(message, at)
+        kind = key & 7
+        if kind == 0:
+            _, at = _varint(message, at)
+        elif kind in (1, 5):
+            at += 8 if kind == 1 else 4
+        elif kind == 2:
+            length, at = _varint(message, at)
+            yield key >> 3, message[at : at + length]
+            at += length
+        else:
+            raise ValueError("groups are not used by ONNX")
+
+
+def _varint(message: bytes, at: int) -> tuple[int, int]:
+    """A number, and where the next one begins."""
+    value = shift = 0
+    while True:
+        byte = message[at]
+        value |= (byte & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if not byte & 0x80:
+            return value, at

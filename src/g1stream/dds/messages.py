@@ -280,8 +280,6 @@ class PolicyStep(Message):
         state_age: () float64, s from then to the observation.
         motion_time: () float64, s, of the reference that is observed.
         inference_time: () float64, s in the network.
-        time_scale: () float64, simulated over real time, which velocities of the reference that is
-            observed are divided by.
         step: () uint32, since the policy took the robot over, at 0.
         repeated: () uint32, how often in a row the last finite action has stood in for one that is
             not; 0 for a finite one.
@@ -297,8 +295,8 @@ class PolicyStep(Message):
         self.tick, self.state_published, self.state_received = map(
             self.view, ("tick", "state_published", "state_received")
         )
-        self.state_age, self.motion_time, self.inference_time, self.time_scale = map(
-            self.view, ("state_age", "motion_time", "inference_time", "time_scale")
+        self.state_age, self.motion_time, self.inference_time = map(
+            self.view, ("state_age", "motion_time", "inference_time")
         )
         self.step, self.repeated = map(self.view, ("step", "repeated"))
         self.n_observation = self.view("n_observation")

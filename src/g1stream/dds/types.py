@@ -132,7 +132,7 @@ Reference_ = idl_struct(
 Policy_ = idl_struct(
     "g1stream.msg.dds_.Policy_",
     **_each(uint64, "tick state_published state_received"),
-    **_each(float64, "state_age motion_time inference_time time_scale"),
+    **_each(float64, "state_age motion_time inference_time"),
     **_each(uint32, "step repeated n_observation"),
     observation=array[float32, 1024],
     action=array[float32, 29],

@@ -322,8 +322,6 @@ class PolicyStream(Stream):
         state_age: (N,) s from then to the observation.
         motion_time: (N,) s, of the reference that was observed.
         inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
-        time_scale: (N,) simulated over real time, which velocities of the reference that was
-            observed are divided by.
         n_observation: (N,) how many values are observed.
         observation: (N, K) float32, as the network took it.
         action: (N, 29) float32, as the network gave it, motor order.
@@ -341,7 +339,6 @@ class PolicyStream(Stream):
     state_age: Floats
     motion_time: Floats
     inference_time: Floats
-    time_scale: Floats
     n_observation: NDArray[np.uint32]
     observation: NDArray[np.float32]
     action: NDArray[np.float32]

@@ -277,8 +277,7 @@ def _observations(
             measured.gyroscope[s],
         )
         pose = reference.root_pos[r], reference.root_quat_wxyz[r]
-        dq = reference.dq[r] / steps.time_scale[i]
-        frame = frame_of(contract, robot, reference.q[r], dq, *pose)
+        frame = frame_of(contract, robot, reference.q[r], reference.dq[r], *pose)
         if run is None or not number:
             run = _Run(number, *begin(state.anchor, frame.anchor), np.zeros(len(default)))
         inputs = Inputs(

@@ -53,7 +53,11 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats, StreamSupport
 
-__all__ = ["BackToStanding", "PolicyTargets"]
+__all__ = ["TILTED", "BackToStanding", "PolicyTargets"]
+
+TILTED: Final = 0.6
+"""The robot falls: its pelvis is tilted by this against the reference, rad. Two policies that
+danced for two minutes, in simulators that stalled, were tilted by 0.41 at most."""
 
 #: From the still pose to the motion and back, s.
 _BLEND: Final = 1.0
@@ -67,9 +71,6 @@ _CARRIED: Final = 0.1, 0.5
 _LOAD_PERIOD: Final = 0.02
 #: How many times in a row an action may be repeated, because the new one is late or not finite.
 _REPEATED: Final = 2
-#: The robot falls: its pelvis is tilted by this against the reference, rad. Two policies that
-#: danced for two minutes, in simulators that stalled, were tilted by 0.41 at most.
-_TILTED: Final = 0.6
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 
@@ -132,7 +133,6 @@ class PolicyTargets(Source):
         self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (np.zeros(3), np.zeros(3))
         self._fall = ""
         self._told, self._new = PolicyStep(), False
-        self._told.time_scale[()] = 1.0
 
     @property
     def name(self) -> str | None:
@@ -269,7 +269,7 @@ class PolicyTargets(Source):
         reference = quat_rotate_inverse(moment.target.root_quat_wxyz, _UP)
         up = quat_rotate_inverse(moment.measured.imu.quat_wxyz.astype(np.float64), _UP)
         tilt = math.acos(min(1.0, max(-1.0, float(up @ reference))))
-        if tilt > _TILTED and not self._fall:
+        if tilt > TILTED and not self._fall:
             self._fall = (
                 f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
             )

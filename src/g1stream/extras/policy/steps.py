@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from g1stream.analysis.summarise import percentiles
 from g1stream.errors import RobotError
 from g1stream.extras.policy.contract import PolicyContract
+from g1stream.extras.policy.source import TILTED
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES, Soles
@@ -31,8 +32,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Fall", "PolicySteps", "Sign", "TermFigures", "policy_steps"]
 
-#: A fall: the pelvis is tilted against the reference by this, rad, or below it by this, m.
-_TILTED, _BELOW = 0.8, 0.25
+#: A fall: the pelvis is tilted against the reference by `TILTED`, or below it by this, m.
+_BELOW: Final = 0.25
+#: The state at which the loop finds a fall may be that much later than the phase that it ends, s.
+_AFTER: Final = 0.1
 #: How long before a fall signs are looked for, s; of a shorter run half of it.
 _WINDOW: Final = 2.0
 #: A motor at this share of its limit is at it; for so long it counts, s.
@@ -373,7 +376,7 @@ def _fall(session: Session) -> tuple[float, str] | None:
     played = np.zeros(len(time), bool)
     for one in session.phases:
         if one.phase in (Phase.PLAY, Phase.HOLD):
-            played |= (time >= one.start_s) & (time <= one.end_s)
+            played |= (time >= one.start_s) & (time <= one.end_s + _AFTER)
     if not played.any():
         return None
     at = np.searchsorted(reference.time, time[played]).clip(0, len(reference) - 1)
@@ -386,12 +389,12 @@ def _fall(session: Session) -> tuple[float, str] | None:
     if base := session.base:
         height = np.interp(time[played], base.time, base.position[:, 2])
         below = reference.root_pos[at, 2] - height
-    fallen = np.flatnonzero((tilt > _TILTED) | (below > _BELOW))
+    fallen = np.flatnonzero((tilt > TILTED) | (below > _BELOW))
     if not len(fallen):
         return None
     first = int(fallen[0])
     why = f"the pelvis was {below[first]:.2f} m below the reference"
-    if tilt[first] > _TILTED:
+    if tilt[first] > TILTED:
         why = f"the pelvis was tilted by {tilt[first]:.2f} rad against the reference"
     return float(time[played][first]), why
 

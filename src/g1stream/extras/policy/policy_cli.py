@@ -29,7 +29,7 @@ class Policy(Command):
 
     Exit codes:
       0  printed
-      1  printed; the first targets are far off, or a replay is not what was recorded
+      1  printed; the first targets are far off, or a replay differs
       2  a fact is missing or wrong, no policy of a G1, or none in the session
     """
 

@@ -44,6 +44,7 @@ from injections import (
     twice,
     wide_urdf,
 )
+from policies import plays
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -688,7 +689,74 @@ ARMING: Final = [
     )
 ]
 
+# A learned policy. PLAY begins within 1.5 s, once the robot's torques look as if it stood.
+
+IN_PLAY: Final = 2.0
+
+
+def turns(until: float = inf) -> list[dict[str, Any]]:
+    return [{"at": IN_PLAY, "until": until, "set": {"imu.gyroscope.2": 5.0}}]
+
+
+POLICY: Final = [
+    Fault(name, "policy", robot, prepare=plays(what), at=IN_PLAY, record="complete", **more)
+    for name, what, robot, more in (
+        ("actions are NaN", "nan", turns(), {"reason": "not finite"}),
+        (
+            "an action or two are NaN",
+            "nan",
+            turns(IN_PLAY + 0.03),
+            {"code": 0, "ends": False},
+        ),
+        ("actions take too long", "slow", turns(), {"alone": True, "handover_ms": inf}),
+        ("a policy, and no LowState any more", "stands", [{"at": IN_PLAY, "do": "silent"}], {}),
+        (
+            "Ctrl-C while a policy plays",
+            "stands",
+            (),
+            {"act": send(signal.SIGINT), "code": 130, "reason": "SIGINT"},
+        ),
+        ("Ctrl-C twice while a policy plays", "stands", (), {"act": twice, "code": 130}),
+        (
+            "SIGKILL while a policy plays",
+            "stands",
+            (),
+            {
+                "act": send(signal.SIGKILL),
+                "code": -9,
+                "reason": "guard",
+                "mute": True,
+                "handover_ms": HANDOVER,
+                "alone": True,
+            },
+        ),
+        (
+            "SIGSTOP while a policy plays",
+            "stands",
+            (),
+            {
+                "act": stop(1.5, then=signal.SIGKILL),
+                "code": -9,
+                "reason": "guard",
+                "mute": True,
+                "handover_ms": HANDOVER,
+                "alone": True,
+            },
+        ),
+    )
+]
+POLICY += [
+    Fault(
+        "a policy that falls in the rehearsal",
+        "policy",
+        prepare=plays("stands", "--rehearse", "2"),
+        code=2,
+        sent=False,
+        reason="simulator",
+    )
+]
+
 FAULTS: Final = [
     *(*STATES, *ROBOT, *DEADMAN, *ARMS),
-    *(*INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING),
+    *(*INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING, *POLICY),
 ]

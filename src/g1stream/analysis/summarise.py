@@ -273,9 +273,12 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
     ):
         yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
     if stream.time_scale is not None and stream.time_scale < _SLOW_SIMULATOR:
+        so = "and the motion with it"
+        if stream.waited_s is None:
+            faster = 1.0 / stream.time_scale
+            so = f"in which the robot had to move {faster:.1f} times as fast as the motion"
         yield (
-            f"The simulator ran at {stream.time_scale:.2f} of real time, in which the robot had to "
-            f"move {1.0 / stream.time_scale:.1f} times as fast as the motion: it needs more CPU."
+            f"The simulator ran at {stream.time_scale:.2f} of real time, {so}: it needs more CPU."
         )
     if stream.command_delay_s:
         yield (

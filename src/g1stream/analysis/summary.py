@@ -53,6 +53,8 @@ _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
+#: A motion that waited for longer for the robot's time is shown, s.
+_WAITED: Final = 0.05
 #: Supports with which the pelvis moves as the robot does, or as the motion does.
 _MOVES: Final = {"follow", "free", "feet"}
 #: How it ended, where nobody told.
@@ -307,6 +309,9 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         states = f"{stream.states_received} received{lost}"
     if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
         time = f"the simulator ran at {stream.time_scale:.2f} of real time"
+    if stream.waited_s and abs(stream.waited_s) > _WAITED:
+        time = f"{time}; " if time else ""
+        time += f"the motion waited {stream.waited_s:.2f} s for it"
     if stream.slowed not in (None, 1.0):
         slowed = f"{stream.slowed:g} times, to fit the joints' speeds"
     held = (

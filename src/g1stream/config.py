@@ -239,7 +239,7 @@ class StreamConfig(Table):
         "s",
         flag=PLAY_FLAG,
         ge=0.0,
-        le=3600.0,
+        le=60.0,
     )
     experimental_feet: bool = setting(
         False,

@@ -72,6 +72,25 @@ def test_a_simulator_without_ticks_stood_still_while_it_was_silent():
     assert robot.time.delay == pytest.approx(0.3e9 - 20 * _MS, abs=1.5 * _SLACK)
 
 
+@pytest.mark.parametrize("robot_too", [False, True])
+def test_a_loop_that_stalled_catches_up_or_waits_as_the_robot_did(robot_too):
+    """The loop has delayed the motion by what it stalled beyond 18 ms."""
+    robot = Robot()
+    robot.run(0.5)
+    stall = 200 * _MS
+    robot.now += stall
+    if not robot_too:
+        robot.passed += stall
+        robot.published = robot.passed
+        robot._publish()
+    robot.time.delay += stall - 18 * _MS
+    moved = [_PERIOD - wait for wait in robot.run(0.1)]
+    moved[0] += 18 * _MS
+    assert min(moved) >= 0
+    assert max(moved) <= 40 * _MS
+    assert robot.time.delay == pytest.approx(stall if robot_too else 0, abs=1.2 * _SLACK)
+
+
 def test_a_tick_that_is_full_begins_again():
     time = RobotTime()
     time.add(SimpleNamespace(tick=2**32 - 10, received=0), 1.0)

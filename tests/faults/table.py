@@ -709,7 +709,12 @@ POLICY: Final = [
             {"code": 0, "ends": False},
         ),
         ("actions take too long", "slow", turns(), {"alone": True, "handover_ms": inf}),
-        ("a policy, and no LowState any more", "stands", [{"at": IN_PLAY, "do": "silent"}], {}),
+        (
+            "a policy, and no LowState any more",
+            "stands",
+            [{"at": IN_PLAY, "do": "silent"}],
+            {"reason": "safety.state_timeout"},
+        ),
         (
             "Ctrl-C while a policy plays",
             "stands",

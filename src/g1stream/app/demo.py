@@ -11,7 +11,7 @@ from typing import Final
 from g1stream.analysis.summary import Summary
 from g1stream.app.stream import stream
 from g1stream.child_process import Child
-from g1stream.config import Config, load_config
+from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
 from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
 from g1stream.dds.messages import LOWSTATE
@@ -45,7 +45,8 @@ def demo(
 
     config = config or Config()
     if config.stream.policy:
-        config = load_config(over=config.model_dump() | {"sim.support": "free"})
+        free = config.sim.model_copy(update={"support": "free"})
+        config = config.model_copy(update={"sim": free})
     _check_local_only(config.dds.interface)
     session_path, figure_path = out / SESSION, out / FIGURE
     if not force:

@@ -11,6 +11,7 @@ from g1stream.app.session import Session, open_session
 from g1stream.app.stream import stream
 from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
+from g1stream.errors import ConfigError
 from g1stream.motion.motion import Motion
 
 __all__ = ["replay"]
@@ -48,6 +49,11 @@ def replay(
     require_arming(config.dds.interface, armed=arm is not None)
     if not isinstance(session, Session):
         session = open_session(session)
+    if config.stream.policy and session.policy_info:
+        raise ConfigError(
+            "The motion of this session begins and ends with the standing of a policy.",
+            "Give the motion itself to `g1stream stream --policy`.",
+        )
     motion = session.motion()
     if speed != 1.0:
         motion = motion.at_speed(speed)

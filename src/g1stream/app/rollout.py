@@ -86,9 +86,11 @@ def rollout(
     """
     config = config or Config()
     if policy is not None:
-        config = load_config(over=config.model_dump() | {"stream.policy": str(policy)})
+        played = config.stream.model_copy(update={"policy": str(policy)})
+        config = config.model_copy(update={"stream": played})
     if config.stream.policy:
-        support, feedforward = support or "free", feedforward or "dynamics"
+        support = support or "free"
+        feedforward = feedforward or config.stream.feedforward or "dynamics"
     config = _resolve(config, support, feedforward, seconds, joints)
     planned = plan(motion, config, simulated=True)
     robot = planned.robot

@@ -215,9 +215,15 @@ def _rehearse(motion: Motion | str | Path, config: Config) -> None:
     settings = config.stream
     seconds = min(settings.rehearse, settings.duration or settings.rehearse)
     _LOGGER.info("rehearsal: %g s in the simulator", seconds)
+    logger = logging.getLogger("g1stream")
+    level = logger.level
+    logger.setLevel(logging.WARNING)  # its phases are not those of the stream
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
     asked = config.model_copy(update={"stream": standing})
-    reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
+    try:
+        reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
+    finally:
+        logger.setLevel(level)
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
             f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",

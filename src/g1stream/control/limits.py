@@ -48,9 +48,9 @@ class CommandLimits:
         config: the margin to the position limits.
         beyond: what was asked for a motion beyond the limits: with `refuse`, a target that its
             joint cannot follow ends the session; with `anyway`, speed and torque are not limited.
-        step_time: s for which a target stays, where it is computed at a lower rate than commands:
-            it may move at once by what its joint can do in this time, and need not be reached,
-            because it is there for its torque. 0: it moves at every tick.
+        in_steps: targets are computed at a lower rate than commands, and are there for their
+            torque: one may move at once by what its joint can do in the time that it has rested, up
+            to `MAX_STEP_TIME`, and need not be reached.
 
     Attributes:
         clamped: (29,) int64, ticks at which each joint's target was clamped to a position limit; as
@@ -68,7 +68,8 @@ class CommandLimits:
         robot: G1,
         config: SafetyConfig,
         beyond: BeyondLimits = "refuse",
-        step_time: float = 0.0,
+        *,
+        in_steps: bool = False,
     ) -> None:
         self._names = robot.joint_names
         self._lower = robot.lower + config.position_margin
@@ -83,7 +84,9 @@ class CommandLimits:
             )
         self._velocity, self._effort = robot.velocity, robot.torque_limit
         self._beyond = beyond
-        self._step_time = step_time
+        self._in_steps = in_steps
+        #: For how long the target of each joint has rested, s, where it moves in steps.
+        self._rested, self._next_rested = np.zeros((2, N_JOINTS))
         self._begun: Floats = (robot.lower + robot.upper) / 2
         #: Largest step, rad, and velocity, rad/s.
         self._reach = np.stack([robot.velocity] * 2) * (1.0 + _SPEED_TOLERANCE)
@@ -134,7 +137,11 @@ class CommandLimits:
             asked = np.stack([limited, dq])
         if self._beyond == "anyway":
             return asked, tau
-        time = max(min(elapsed, MAX_STEP_TIME), self._step_time)
+        time: float | Floats = min(elapsed, MAX_STEP_TIME)
+        if self._in_steps:
+            rested = self._rested + elapsed
+            time = np.minimum(rested, MAX_STEP_TIME)
+            self._next_rested = np.where(asked[0] == self._aimed[0], rested, 0.0)
         np.multiply(self._fastest, time, out=self._reach[0])
         aimed = eased = self._limit_speed(asked)
         if gains is not None and measured and age <= STALE + min(elapsed, MAX_STEP_TIME):
@@ -152,7 +159,7 @@ class CommandLimits:
     def sent(self) -> None:
         """The last command has been sent: the step of the next one begins at it."""
         self._aimed, self._next_aimed = self._next_aimed, self._aimed
-        self._eased = self._next_eased
+        self._eased, self._rested = self._next_eased, self._next_rested
 
     def limit_position(self, q: Floats, ramped: float = 1.0) -> Floats:
         """Joint targets (29,) clamped to the limits, rad; `q` itself if none is clamped.
@@ -218,7 +225,7 @@ class CommandLimits:
         self.speed_limited += beyond.any(axis=0)
         lag = np.abs(asked[0] - limited[0]) / self._velocity
         joint = int(lag.argmax())
-        must_follow = self._beyond == "refuse" and not self._step_time
+        must_follow = self._beyond == "refuse" and not self._in_steps
         if must_follow and lag[joint] > MAX_STEP_TIME and not self.fault:
             self.fault = (
                 f"{self._names[joint]} cannot follow its target, {asked[0, joint]:.3f} rad: at "

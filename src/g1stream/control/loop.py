@@ -212,7 +212,10 @@ class StreamLoop:
                 self._stop_reason = self._stop_reason or stalled
             delay = max(0, gap - max(0, _CATCH_UP - self._period))
             self._schedule.delay(delay)
-            self.report.delay += delay
+            if self._feedforward.source.own_time:
+                self._robot_time.delay += delay
+            else:
+                self.report.delay += delay
             now = self._clock.now()
             self._receive(now)  # states that arrived meanwhile, before their age is checked
             self._advance(now, deadline)
@@ -402,7 +405,7 @@ def make_loop(
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
     period = settings.period
-    limits = CommandLimits(robot, config.safety, settings.beyond_limits, source.step_time)
+    limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=source.in_steps)
     composer = Composer(limits, plan.gains, settings.damp_kd, plan.played, robot.present)
     if plan.topic is ARM_SDK:
         composer = ArmSdkComposer(limits, plan.gains, plan.played, plan.held, period)

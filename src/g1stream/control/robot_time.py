@@ -33,7 +33,8 @@ class RobotTime:
     measured scale, and not at all while no LowState arrives.
 
     Attributes:
-        delay: by which the motion is behind the clock, ns; it may become less again.
+        delay: by which the motion is behind the clock, ns; it may become less again. Whoever delays
+            the motion for another reason adds to it.
     """
 
     def __init__(self) -> None:

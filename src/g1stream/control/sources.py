@@ -83,7 +83,7 @@ class Source:
         needed: the robot falls without this torque, so that the run ends where it has faded out.
         support: of the robot, where that is not asked for; None: as the bridge announces.
         lift: m by which the pelvis is higher when RAMP begins.
-        step_time: s for which its targets stay; 0 where they move at every tick.
+        in_steps: its targets are computed at a lower rate than commands, for their torque.
         way_down: with which HOLD ends; None: it only rests.
         own_time: the motion keeps to the robot's time, and waits where a simulator stalls.
         reference_only: the motion is followed and not commanded, so that its limits do not matter;
@@ -95,7 +95,7 @@ class Source:
     needed: bool = False
     support: StreamSupport | None = None
     lift: float = 0.0
-    step_time: float = 0.0
+    in_steps: bool = False
     way_down: WayDown | None = None
     own_time: bool = False
     reference_only: bool = False

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
-from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions, held_frame
+from g1stream.extras.policy.first_actions import first_actions, held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
+from g1stream.extras.policy.observation import ReferenceFrame, RobotState
+from g1stream.extras.policy.observer import Observer, anchor_poses
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 
@@ -124,8 +125,7 @@ def test_each_policy_observes_and_does_what_it_did_elsewhere(name, tmp_path):
     reference = None
     if contract.reference != "none":
         reference = references(contract, network, robot)
-    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
-    yaw0, origin = np.array([1.0, 0.0, 0.0, 0.0]), (np.zeros(3), np.zeros(3))
+    observer = Observer(contract)
     for number, step in enumerate(golden["steps"]):
         arrays = {key: np.array(value) for key, value in step.items() if key != "frame"}
         quat, pos = arrays["quat_wxyz"], arrays["base_pos_w"]
@@ -138,21 +138,12 @@ def test_each_policy_observes_and_does_what_it_did_elsewhere(name, tmp_path):
             # The position that is given is that of the anchor.
             anchor_poses(contract, robot, arrays["q"][None], pos, quat)[0]._replace(pos=pos),
         )
-        frame = reference(step["frame"] - contract.lag) if reference else None
+        frame = reference(step["frame"]) if reference else None
         if frame and not number:
-            yaw0, origin = begin(state.anchor, reference(step["frame"]).anchor)
-        inputs = Inputs(
-            state,
-            frame,
-            yaw0,
-            origin,
-            contract.order,
-            np.array(contract.default_pos),
-            arrays["last_action"],
-            np.zeros(3),
-            np.full(2, np.pi),
-        )
-        observation = observe(terms, inputs)
+            observer.begin(state, frame)
+            observer.observe(state, reference(step["frame"] - contract.lag))
+        observer.last_action = arrays["last_action"]
+        observation = observer.observe(state, frame)
         start = 0
         for term in contract.terms:
             part = slice(start, start := start + term.size)

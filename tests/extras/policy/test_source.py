@@ -158,7 +158,7 @@ def test_one_that_takes_longer_than_a_step_may_do_so_twice(driven):
     driven.steps(20)
     assert not driven.source.fall
     driven.steps(10)
-    assert "30 ms" in driven.source.fall
+    assert "20 ms, the last one 30" in driven.source.fall
 
 
 @pytest.mark.parametrize(("tilt", "falls"), [(0.5, False), (0.7, True)])

@@ -255,6 +255,8 @@ def _of_toml(path: Path) -> dict[str, Any]:
             raise ConfigError(
                 f"In {path}, terms is no list of tables.", f"Write {_LINES['terms']}."
             )
+        if extra := sorted({key for term in terms for key in term} - {"name", "scale"}):
+            raise ConfigError(f"A term in {path} has {listed(extra)}.", f"Write {_LINES['terms']}.")
         values["terms"] = [(str(t.get("name", "")), t.get("scale", 1.0)) for t in terms]
     return values
 

@@ -7,24 +7,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.extras.policy.observation import Inputs, Pose, ReferenceFrame, RobotState, observe
-from g1stream.robot.kinematics import forward_kinematics
+from g1stream.extras.policy.observation import Pose, ReferenceFrame, RobotState
+from g1stream.extras.policy.observer import Observer, anchor_poses
 from g1stream.robot.rotations import (
     quat_conj,
-    quat_from_yaw,
     quat_mul,
     quat_rotate,
     quat_rotate_inverse,
     rotation_vector,
     wxyz_from_xyzw,
-    yaw_of,
 )
 from g1stream.session.records import Record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from g1stream.extras.policy.contract import PolicyContract
     from g1stream.extras.policy.network import Network
@@ -32,15 +28,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = [
-    "FirstActions",
-    "anchor_poses",
-    "begin",
-    "first_actions",
-    "frame_of",
-    "held_frame",
-    "state_of",
-]
+__all__ = ["FirstActions", "first_actions", "held_frame"]
 
 #: Of the motion, s.
 _LENGTH: Final = 5.0
@@ -129,16 +117,17 @@ def held_frame(contract: PolicyContract, network: Network, step: int) -> Referen
         for name, value in network.run(np.zeros(network.width), step).items()
     }
     joint_pos, joint_vel = map(contract.in_motor_order, (out["joint_pos"], out["joint_vel"]))
-    if "ref_quat_xyzw" in out:  # of holosoma
+    if {"ref_pos_xyz", "ref_quat_xyzw"} <= out.keys():  # of holosoma
         pose = Pose(out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"]))
         return ReferenceFrame(joint_pos, joint_vel, pose)
     bodies = network.metadata.get("body_names", "").split(",")
-    if "body_quat_w" not in out or contract.anchor not in bodies:
+    link = contract.anchor or "pelvis"
+    if not {"body_pos_w", "body_quat_w"} <= out.keys() or link not in bodies:
         raise ConfigError(
-            f"The motion in {contract.path} has no pose of {contract.anchor}.",
+            f"The motion in {contract.path} has no pose of {link}.",
             "Export the policy again, with body_names among its metadata.",
         )
-    anchor = bodies.index(contract.anchor)
+    anchor = bodies.index(link)
     pose = Pose(out["body_pos_w"][anchor], out["body_quat_w"][anchor])
     return ReferenceFrame(joint_pos, joint_vel, pose)
 
@@ -151,51 +140,6 @@ def _given_frames(contract: PolicyContract, robot: G1, motion: Motion) -> list[R
     pelvis = part.root_pos[:most], part.root_quat_wxyz[:most]
     anchors = anchor_poses(contract, robot, joint_pos, *pelvis)
     return [ReferenceFrame(*one) for one in zip(joint_pos, joint_vel, anchors, strict=True)]
-
-
-def anchor_poses(
-    contract: PolicyContract, robot: G1, joint_pos: Floats, pos: Floats, quat_wxyz: Floats
-) -> list[Pose]:
-    """Poses of the anchor link; joint_pos (T, 29), of the pelvis pos (T, 3), quat_wxyz (T, 4)."""
-    link = robot.link_names.index(contract.anchor or robot.link_names[0])
-    poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
-    return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
-
-
-def state_of(
-    contract: PolicyContract,
-    robot: G1,
-    joint_pos: NDArray[np.floating],
-    joint_vel: NDArray[np.floating],
-    quat_wxyz: NDArray[np.floating],
-    gyroscope: NDArray[np.floating],
-) -> RobotState:
-    """What a LowState says of the robot, without a place: joints (29,) rad and rad/s."""
-    q, quat = joint_pos.astype(np.float64), quat_wxyz.astype(np.float64)
-    quat /= np.sqrt(quat @ quat)
-    return RobotState(
-        q,
-        joint_vel.astype(np.float64),
-        quat,
-        gyroscope.astype(np.float64),
-        _ORIGIN,
-        anchor_poses(contract, robot, q[None], _ORIGIN, quat)[0],
-    )
-
-
-def frame_of(
-    contract: PolicyContract, robot: G1, joint_pos: Floats, joint_vel: Floats, *pelvis: Floats
-) -> ReferenceFrame:
-    """The reference of one step: joints (29,) rad, rad/s, pelvis pos (3,) m and quat_wxyz (4,)."""
-    anchor = anchor_poses(contract, robot, joint_pos[None], *pelvis)[0]
-    return ReferenceFrame(joint_pos, joint_vel, anchor)
-
-
-def begin(robot: Pose, reference: Pose) -> tuple[Floats, tuple[Floats, Floats]]:
-    """`Inputs.yaw0` and `Inputs.origin`, of the anchors when a motion begins."""
-    own, its = (quat_from_yaw(yaw_of(one.quat_wxyz)) for one in (robot, reference))
-    on_floor = np.array([1.0, 1.0, 0.0])
-    return quat_mul(own, quat_conj(its)), (reference.pos * on_floor, robot.pos * on_floor)
 
 
 def _check_same(
@@ -245,31 +189,18 @@ def _targets(
     contract: PolicyContract, network: Network, robot: G1, frames: Sequence[ReferenceFrame]
 ) -> Floats:
     """Targets (N, 29) rad, motor order."""
-    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
     default, scale = np.array(contract.default_pos), np.array(contract.action_scale)
-    yaw0, origin = begin(frames[0].anchor, frames[0].anchor)
-    action, targets = np.zeros(len(default)), []
-    for step, state in enumerate(_states(contract, robot, frames)):
-        inputs = Inputs(
-            state,
-            frames[max(0, step - contract.lag)],
-            yaw0,
-            origin,
-            contract.order,
-            default,
-            action,
-            np.zeros(3),
-            np.full(2, np.pi),
-        )
-        observation = observe(terms, inputs)
-        if contract.clip:
-            observation = np.clip(observation, -contract.clip, contract.clip)
-        action = network.act(observation, step)
+    observer, targets = Observer(contract), []
+    states = _states(contract, robot, frames)
+    observer.begin(states[0], frames[0])
+    for step, (state, frame) in enumerate(zip(states, frames, strict=True)):
+        action = network.act(observer.observe(state, frame), step)
         if not np.isfinite(action).all():
             raise ConfigError(
                 f"The policy {contract.path} gives an action that is not finite at step {step}.",
                 "Look at its terms, scales and metadata; it cannot be played.",
             )
+        observer.last_action = action
         targets.append(contract.in_motor_order(default + scale * action))
     return np.array(targets)
 

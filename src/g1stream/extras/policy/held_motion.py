@@ -8,8 +8,9 @@ import numpy as np
 
 from g1stream.errors import MotionError
 from g1stream.extras.policy.contract import read_contract
-from g1stream.extras.policy.first_actions import anchor_poses, held_frame
+from g1stream.extras.policy.first_actions import held_frame
 from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observer import anchor_poses
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import Evidence
 from g1stream.robot.model import G1

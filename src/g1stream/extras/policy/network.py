@@ -86,11 +86,20 @@ class Network:
         Args:
             observation: in the order of the network.
             step: of the motion in the file, for one that takes it.
+
+        Raises:
+            ConfigError: the network fails.
         """
         for value in self._step.values():
             value[:] = step
         feed = {self._observation: observation.astype(np.float32)[None], **self._step}
-        values = self._session.run(None, feed)
+        try:
+            values = self._session.run(None, feed)
+        except Exception as error:  # its classes of errors are not public
+            raise ConfigError(
+                f"The network of {self.path} fails: {_reason(error)}.",
+                "Export it for a batch of 1 and inputs of float32.",
+            ) from error
         return {name: value[0] for name, value in zip(self.outputs, values, strict=True)}
 
     def act(self, observation: Floats, step: int = 0) -> Floats:

@@ -144,6 +144,7 @@ TERMS: Final = {
 ALIASES: Final = {
     "motion_ref_ori_b": "motion_anchor_ori_b",
     "motion": "motion_command",
+    "command": "motion_command",
     "joint_pos": "joint_pos_rel",
     "joint_vel": "joint_vel_rel",
     "dof_pos": "joint_pos_rel",

@@ -6,7 +6,7 @@ the lowest corner of the soles stands still, so that the pelvis moves as the leg
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["LegOdometry"]
+__all__ = ["OF_BASE", "LegOdometry"]
+
+OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
+"""Terms of what LowState does not have."""
 
 
 class LegOdometry:

@@ -8,16 +8,16 @@ with the recorded ones term by term, so that two runners of one policy can be.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from pydantic import ValidationError
 
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
-from g1stream.extras.policy.first_actions import begin, frame_of, state_of
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Inputs, observe
+from g1stream.extras.policy.observer import Observer, frame_of, state_of
+from g1stream.extras.policy.odometry import OF_BASE
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, table
@@ -233,19 +233,6 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
     return {"differing": len(rows), "max_abs": largest, "first": first}
 
 
-class _Run(NamedTuple):
-    """What a step takes from those before it."""
-
-    step: int
-    yaw0: Floats
-    origin: tuple[Floats, Floats]
-    action: Floats  # (29,) in the policy's order, the last finite one
-
-    def after(self, step: int, action: Floats, *, finite: bool) -> _Run:
-        """What the step after this one takes."""
-        return self._replace(step=step, action=action if finite else self.action)
-
-
 def _observations(
     session: Session, steps: PolicyStream, contract: PolicyContract
 ) -> tuple[Floats, dict[str, int]]:
@@ -253,49 +240,32 @@ def _observations(
     states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
     references = _references(session, steps)
     measured, reference = session.measured, session.reference
-    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
-    default, order, robot = np.array(contract.default_pos), contract.order, session.robot
+    order, robot = contract.order, session.robot
     rebuilt = np.full(steps.observation.shape, np.nan)
     left_out: dict[str, int] = {}
-    run: _Run | None = None
+    observer = Observer(contract)
+    before: int | None = None  # the step that the observer knows all of
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
-        action = steps.action[i].astype(np.float64)[order]
-        if number and run is not None and run.step != number - 1:
-            run = None
         known = s >= 0 and r >= 0
-        if not known or (number and run is None):
-            why = _LACKS if not known else _LATER
+        follows = not number or before == number - 1
+        if not (known and follows):
+            why = _LATER if known else _LACKS
             left_out[why] = left_out.get(why, 0) + 1
-            run = run and run.after(number, action, finite=not steps.repeated[i])
-            continue
-        state = state_of(
-            contract,
-            robot,
-            measured.q[s],
-            measured.dq[s],
-            measured.imu_quat_wxyz[s],
-            measured.gyroscope[s],
-        )
-        pose = reference.root_pos[r], reference.root_quat_wxyz[r]
-        frame = frame_of(contract, robot, reference.q[r], reference.dq[r], *pose)
-        if run is None or not number:
-            run = _Run(number, *begin(state.anchor, frame.anchor), np.zeros(len(default)))
-        inputs = Inputs(
-            state,
-            frame,
-            run.yaw0,
-            run.origin,
-            order,
-            default,
-            run.action,
-            np.zeros(3),
-            np.full(2, np.pi),
-        )
-        observation = observe(terms, inputs)
-        if contract.clip:
-            observation = np.clip(observation, -contract.clip, contract.clip)
-        rebuilt[i] = observation
-        run = run.after(number, action, finite=not steps.repeated[i])
+            # Without a lag nothing but the last action is taken from a step to the next.
+            before = number if follows and number and not contract.lag else None
+        else:
+            values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
+            state = state_of(contract, robot, *values, measured.gyroscope[s])
+            pose = reference.root_pos[r], reference.root_quat_wxyz[r]
+            frame = frame_of(contract, robot, reference.q[r], reference.dq[r], *pose)
+            if not number:
+                observer.begin(state, frame)
+            rebuilt[i], before = observer.observe(state, frame), number
+        if not steps.repeated[i]:
+            observer.last_action = steps.action[i].astype(np.float64)[order]
+    for name, columns in steps.terms.items():
+        if name in OF_BASE:
+            rebuilt[:, columns] = np.nan
     return rebuilt, left_out
 
 

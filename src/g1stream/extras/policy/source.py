@@ -19,16 +19,10 @@ from g1stream.dds.messages import POLICY, PolicyStep
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
-from g1stream.extras.policy.first_actions import (
-    anchor_poses,
-    begin,
-    first_actions,
-    frame_of,
-    state_of,
-)
+from g1stream.extras.policy.first_actions import first_actions
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
-from g1stream.extras.policy.odometry import LegOdometry
+from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
+from g1stream.extras.policy.odometry import OF_BASE, LegOdometry
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
@@ -50,6 +44,7 @@ if TYPE_CHECKING:
     from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
+    from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
     from g1stream.types import Floats, StreamSupport
 
@@ -63,8 +58,6 @@ danced for two minutes, in simulators that stalled, were tilted by 0.41 at most.
 _BLEND: Final = 1.0
 #: m by which the pelvis is higher when RAMP begins: no leg is longer by more.
 _LIFT: Final = 0.4
-#: Terms of what LowState does not have.
-_OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
 #: PLAY begins when the feet have carried this share of the weight for this time, s: on feet in the
 #: air a policy kicks.
 _CARRIED: Final = 0.1, 0.5
@@ -97,6 +90,7 @@ class PolicyTargets(Source):
     needed = True
     support: StreamSupport | None = "free"
     lift = _LIFT
+    in_steps = True
     own_time = True
     reference_only = True
     tells = POLICY
@@ -109,7 +103,7 @@ class PolicyTargets(Source):
         self._network = Network(settings.policy or "")
         self.contract = contract = read_contract(self._network, robot)
         _require_multiple(contract, settings.rate)
-        self.step_time = 1.0 / contract.rate
+        self._step_time = 1.0 / contract.rate
         self._robot, self._settings = robot, settings
         self.gains = Gains(
             contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)
@@ -117,8 +111,8 @@ class PolicyTargets(Source):
         pose = contract.in_motor_order(contract.default_pos)
         self._still = _standing(pose, robot)
         self.way_down = BackToStanding(self._still, settings.stand)
-        self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
-        estimated = any(term.name in _OF_BASE for term in contract.terms)
+        self._observer, self._order = Observer(contract), contract.order
+        estimated = any(term.name in OF_BASE for term in contract.terms)
         self._load = FeetLoad(robot)
         self._lowered_by_bridge = False
         self._share = self._carried_for = 0.0
@@ -126,11 +120,10 @@ class PolicyTargets(Source):
         self._odometry = LegOdometry(robot) if estimated else None
         self._default = np.array(contract.default_pos)
         self._scale = np.array(contract.action_scale)
-        self._action = np.zeros(len(self._default))
         self._target: Floats | None = None
-        self._last = self._next = 0.0
+        self._next = 0.0
         self._steps = self._repeated = self._late = 0
-        self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (np.zeros(3), np.zeros(3))
+        self._observed: Reading | None = None
         self._fall = ""
         self._told, self._new = PolicyStep(), False
 
@@ -188,15 +181,13 @@ class PolicyTargets(Source):
             self._target = None
             return target
         if self._target is None:
-            self._last = self._next = moment.time
-            self._action = np.zeros(len(self._default))
-            self._alignment = begin(self._state(moment).anchor, self._reference(target).anchor)
+            self._next = moment.time
+            self._observer.begin(self._state(moment), self._reference(target))
         if moment.time > self._next - 0.5 / self._settings.rate:
             self._step(moment)
-            self._next += self.step_time
+            self._next += self._step_time
             if self._next <= moment.time:  # what a leap of the motion's clock has left out is lost
-                self._next = moment.time + self.step_time
-            self._last = moment.time
+                self._next = moment.time + self._step_time
         self._watch(moment)
         return self.repeated(target)
 
@@ -223,32 +214,19 @@ class PolicyTargets(Source):
         )
 
     def _step(self, moment: Moment) -> None:
-        yaw0, origin = self._alignment
         begun, measured = moment.clock(), moment.measured
-        inputs = Inputs(
-            self._state(moment),
-            self._reference(moment.target),
-            yaw0,
-            origin,
-            self.contract.order,
-            self._default,
-            self._action,
-            np.zeros(3),
-            np.full(2, np.pi),
-        )
-        observation = observe(self._terms, inputs)
-        if self.contract.clip:
-            observation = np.clip(observation, -self.contract.clip, self.contract.clip)
+        observation = self._observer.observe(self._state(moment), self._reference(moment.target))
         asked = moment.clock()
         action = self._network.act(observation)
         took = (moment.clock() - asked) / 1e9
         finite = bool(np.isfinite(action).all())
         if finite:
-            self._action = action
+            self._observer.last_action = action
         self._repeated = 0 if finite else self._repeated + 1
-        self._late = self._late + 1 if took > self.step_time else 0
+        self._late = self._late + 1 if took > self._step_time else 0
         if max(self._repeated, self._late) > _REPEATED and not self._fall:
-            problem = f"take {1e3 * took:.0f} ms" if finite else "are not finite"
+            late = f"take longer than {1e3 * self._step_time:g} ms, the last one {1e3 * took:.0f}"
+            problem = late if self._late > _REPEATED else "are not finite"
             self._fall = f"{_REPEATED + 1} actions in a row {problem}"
         told = self._told
         told.inference_time[()] = took
@@ -258,11 +236,12 @@ class PolicyTargets(Source):
         told.state_age[()] = (begun - measured.received) / 1e9
         told.n_observation[()] = len(observation)
         told.observation[: len(observation)] = observation
-        told.action[self.contract.order] = action
+        told.action[self._order] = action
         told.repeated[()] = self._repeated
         self._new = True
         self._steps += 1
-        self._target = self.contract.in_motor_order(self._default + self._scale * self._action)
+        self._target = np.empty(len(self._order))
+        self._target[self._order] = self._default + self._scale * self._observer.last_action
 
     def _watch(self, moment: Moment) -> None:
         """Find out whether the robot falls."""
@@ -280,7 +259,11 @@ class PolicyTargets(Source):
         state = state_of(self.contract, self._robot, *values)
         if not self._odometry:
             return state
-        self._odometry.update(state.joint_pos, state.quat_wxyz, moment.time - self._last)
+        before, self._observed = self._observed or measured, measured
+        # Where ticks stand still, the time of reception counts.
+        passed = (measured.tick - before.tick) % 2**32 / 1e3
+        passed = passed or (measured.received - before.received) / 1e9
+        self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
         pose = self._odometry.pos, state.quat_wxyz
         return state._replace(
             lin_vel=quat_rotate_inverse(state.quat_wxyz, self._odometry.vel),
@@ -395,6 +378,10 @@ def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
         raise ConfigError(
             "A policy commands a robot that stands freely, at every tick.",
             "Leave out --support and --feedforward.",
+        )
+    if config.gains.kp or config.gains.kd:
+        raise ConfigError(
+            "A policy was trained with gains of its own.", "Leave out --gains and [gains]."
         )
     if settings.loop or settings.joints or settings.via != "lowcmd" or not complete:
         raise ConfigError(

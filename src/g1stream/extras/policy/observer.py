@@ -1,0 +1,107 @@
+"""What a policy observes in a run, step by step."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.extras.policy.observation import Inputs, Pose, ReferenceFrame, RobotState, observe
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, yaw_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.extras.policy.contract import PolicyContract
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["Observer", "anchor_poses", "frame_of", "state_of"]
+
+_ORIGIN: Final = np.zeros(3)
+_ON_FLOOR: Final = np.array([1.0, 1.0, 0.0])
+#: Of a robot that is not commanded to walk: velocities, and the phases of its legs.
+_STANDS: Final = np.zeros(3), np.full(2, np.pi)
+
+
+class Observer:
+    """Makes the observation of each step.
+
+    Args:
+        contract: of the policy.
+
+    Attributes:
+        last_action: (29,) of the step before, in the order of the policy.
+    """
+
+    def __init__(self, contract: PolicyContract) -> None:
+        self._clip = contract.clip
+        self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+        self._order, self._default = contract.order, np.array(contract.default_pos)
+        self._frames: deque[ReferenceFrame] = deque(maxlen=contract.lag + 1)
+        self._yaw0, self._origin = np.array([1.0, 0.0, 0.0, 0.0]), (_ORIGIN, _ORIGIN)
+        self.last_action = np.zeros(len(self._default))
+
+    def begin(self, state: RobotState, frame: ReferenceFrame) -> None:
+        """The motion begins: heading and place of its anchor are those of the robot's."""
+        own, its = (quat_from_yaw(yaw_of(one.anchor.quat_wxyz)) for one in (state, frame))
+        self._yaw0 = quat_mul(own, quat_conj(its))
+        self._origin = frame.anchor.pos * _ON_FLOOR, state.anchor.pos * _ON_FLOOR
+        self._frames.clear()
+        self.last_action = np.zeros(len(self._default))
+
+    def observe(self, state: RobotState, frame: ReferenceFrame) -> Floats:
+        """The observation (width,) of the next step; the reference is that of `lag` steps ago."""
+        self._frames.append(frame)
+        inputs = Inputs(
+            state,
+            self._frames[0],
+            self._yaw0,
+            self._origin,
+            self._order,
+            self._default,
+            self.last_action,
+            *_STANDS,
+        )
+        observation = observe(self._terms, inputs)
+        return np.clip(observation, -self._clip, self._clip) if self._clip else observation
+
+
+def anchor_poses(
+    contract: PolicyContract, robot: G1, joint_pos: Floats, pos: Floats, quat_wxyz: Floats
+) -> list[Pose]:
+    """Poses of the anchor link; joint_pos (T, 29), of the pelvis pos (T, 3), quat_wxyz (T, 4)."""
+    link = robot.link_names.index(contract.anchor or robot.link_names[0])
+    poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
+    return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
+
+
+def state_of(
+    contract: PolicyContract,
+    robot: G1,
+    joint_pos: NDArray[np.floating],
+    joint_vel: NDArray[np.floating],
+    quat_wxyz: NDArray[np.floating],
+    gyroscope: NDArray[np.floating],
+) -> RobotState:
+    """What a LowState says of the robot, without a place: joints (29,) rad and rad/s."""
+    q, quat = joint_pos.astype(np.float64), quat_wxyz.astype(np.float64)
+    quat /= np.sqrt(quat @ quat)
+    return RobotState(
+        q,
+        joint_vel.astype(np.float64),
+        quat,
+        gyroscope.astype(np.float64),
+        _ORIGIN,
+        anchor_poses(contract, robot, q[None], _ORIGIN, quat)[0],
+    )
+
+
+def frame_of(
+    contract: PolicyContract, robot: G1, joint_pos: Floats, joint_vel: Floats, *pelvis: Floats
+) -> ReferenceFrame:
+    """The reference of one step: joints (29,) rad, rad/s, pelvis pos (3,) m and quat_wxyz (4,)."""
+    anchor = anchor_poses(contract, robot, joint_pos[None], *pelvis)[0]
+    return ReferenceFrame(joint_pos, joint_vel, anchor)

@@ -207,6 +207,20 @@ def test_a_joint_that_would_be_more_than_20_ms_late_ends_the_session(robot, beyo
     assert (JOINT_NAMES[KNEE] in limits.fault) is ends
 
 
+def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(robot):
+    """Ten ticks of rest, a step of 50 ms, and one of 5 ms as soon as that is reached."""
+    limits = CommandLimits(robot, SafetyConfig(), in_steps=True)
+    limits.begin(np.zeros(29))
+    reach = robot.velocity[KNEE] * PERIOD
+    sent = played(limits, [0.0] * 10 + [25.0 * reach] * 30 + [27.5 * reach] * 10)[:, 0] / reach
+    moved = np.diff(sent)
+    assert moved[9] == pytest.approx(10.0, rel=0.002)
+    assert moved[10:24] == pytest.approx(np.ones(14), rel=0.002)
+    assert moved[39] == pytest.approx(2.5, rel=0.002)
+    assert sent[-1] == pytest.approx(27.5)
+    assert limits.fault == ""
+
+
 def test_a_long_gap_allows_no_more_than_20_ms(make_limits, robot):
     limits = make_limits()
     limits.begin(np.zeros(29))

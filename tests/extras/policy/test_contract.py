@@ -194,6 +194,18 @@ def test_the_action_is_that_of_the_network(policy):
     assert action == pytest.approx(np.full(29, 0.01 * observation.sum()), abs=1e-5)
 
 
+def test_a_network_that_fails_is_an_error_with_a_cause(policy, capsys):
+    assert main(["policy", str(policy(batch=4)), "--motion", "demo"]) == 2
+    assert capsys.readouterr().err.startswith("error: The network of ")
+
+
+def test_an_unknown_fact_of_a_term_is_refused(policy, capsys):
+    path = policy()
+    path.with_suffix(".toml").write_text('[[terms]]\nname = "command"\nscales = 0.1\n')
+    assert main(["policy", str(path)]) == 2
+    assert "scales" in capsys.readouterr().err
+
+
 def test_json_has_the_contract(policy, capsys):
     assert main(["policy", str(policy()), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

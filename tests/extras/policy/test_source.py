@@ -230,8 +230,22 @@ def test_the_way_back_to_standing(policy, target):
     ],
 )
 def test_settings_that_do_not_go_with_a_policy(policy, stream):
+    config = settings(policy(), **stream)
     with pytest.raises(ConfigError):
-        PolicyTargets(settings(policy(), **stream), ROBOT)
+        PolicyTargets(config, ROBOT)
+
+
+def test_gains_are_those_of_the_policy(policy):
+    config = load_config(over={"stream.policy": str(policy()), "gains.kp": {"*": 20.0}})
+    with pytest.raises(ConfigError):
+        PolicyTargets(config, ROBOT)
+
+
+def test_a_session_of_a_policy_is_not_replayed_by_one(policy):
+    config = settings(policy(), beyond_limits="anyway", stand=0.5, ramp=0.5, duration=0.2)
+    session = g1stream.rollout("demo", config=config)
+    with pytest.raises(ConfigError):
+        g1stream.replay(session, config)
 
 
 def test_no_robot_is_commanded_by_a_policy(policy):

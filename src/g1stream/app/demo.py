@@ -45,6 +45,11 @@ def demo(
 
     config = config or Config()
     if config.stream.policy:
+        if "support" in config.sim.model_fields_set and config.sim.support != "free":
+            raise ConfigError(
+                f"A policy stands on its own feet, not {config.sim.support}.",
+                "Leave out --support.",
+            )
         free = config.sim.model_copy(update={"support": "free"})
         config = config.model_copy(update={"sim": free})
     _check_local_only(config.dds.interface)

@@ -155,7 +155,14 @@ class PlayCommand(LiveCommand):
                     f"The flag {flag} has no effect without --record.",
                     "Add --record FILE, or leave it out.",
                 )
-        return super().resolve()
+        config = super().resolve()
+        for key in ("stream.stand", "stream.rehearse"):
+            if key in self.overrides() and not config.stream.policy:
+                raise ConfigError(
+                    f"The flag {flag_name(key.rpartition('.')[2])} has no effect without --policy.",
+                    "Add --policy FILE, or leave it out.",
+                )
+        return config
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, and the gains file's tables."""
@@ -192,10 +199,14 @@ class Stream(PlayCommand, MotionFlags):
     wait for `RAMP waits`, press 8 in the simulator's window about once a second until the motion
     begins, and then 9; its Python simulator needs --rate 200.
 
+    With --policy a learned policy keeps it on its feet. It stands before the motion and after it,
+    and after Ctrl-C; a second Ctrl-C damps at once. docs/policy.md says how it begins on a band.
+
     Examples:
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
       g1stream stream dance.csv --support feet --joints arms,waist
+      g1stream stream dance.csv --policy policy.onnx --record dance.mcap
       g1stream stream wave.csv dance.npz --blend 1 --trim 2:10 --mirror
       g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
 

@@ -24,7 +24,10 @@ from g1stream.text import counted, labelled, table
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from g1stream.app.session import Session
+    from g1stream.extras.policy.contract import Term
     from g1stream.session.streams import PolicyStream
     from g1stream.types import Floats
 
@@ -178,7 +181,7 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
         policy=str(network.path),
         same_file=same,
         steps=len(steps),
-        rebuilt=int(np.isfinite(rebuilt).all(axis=1).sum()),
+        rebuilt=int(np.isfinite(rebuilt).any(axis=1).sum()),
         left_out=left_out,
         terms={
             name: _term(steps, steps.observation[:, at] - rebuilt[:, at])
@@ -192,9 +195,22 @@ def _contract(session: Session, network: Network) -> PolicyContract:
     """What was recorded; of a recorder that was not told, what the file says now."""
     info = session.policy_info
     try:
-        return PolicyContract.model_validate(info.contract if info else {})
+        recorded = PolicyContract.model_validate(info.contract if info else {})
     except ValidationError:
         return read_contract(network, session.robot)
+    if info and info.sha256 != network.sha256:
+        asked = read_contract(network, session.robot).terms
+        if asked != recorded.terms:
+            raise ConfigError(
+                f"{network.path} observes {_listed(asked)}; the session has "
+                f"{_listed(recorded.terms)}.",
+                "Give the policy that was played, or one of the same contract.",
+            )
+    return recorded
+
+
+def _listed(terms: Sequence[Term]) -> str:
+    return ", ".join(term.name for term in terms)
 
 
 def _file(session: Session) -> Path:

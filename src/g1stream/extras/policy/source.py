@@ -148,7 +148,9 @@ class PolicyTargets(Source):
         settings = self._settings
         first = first_actions(self.contract, self._network, self._robot, motion)
         if first and first.problem and settings.beyond_limits != "anyway":
-            raise ConfigError(f"{first.problem}.", "--anyway plays it in a simulator.")
+            raise ConfigError(
+                f"{first.problem}.", "`g1stream stream --anyway` plays it in a simulator."
+            )
         part = Interval.from_config(settings, motion)
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
@@ -383,7 +385,13 @@ def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
         raise ConfigError(
             "A policy was trained with gains of its own.", "Leave out --gains and [gains]."
         )
-    if settings.loop or settings.joints or settings.via != "lowcmd" or not complete:
+    if (
+        settings.others != "hold"
+        or settings.loop
+        or settings.joints
+        or settings.via != "lowcmd"
+        or not complete
+    ):
         raise ConfigError(
             "A policy plays a motion once, with all 29 joints, on rt/lowcmd.",
             "Leave out --loop, --joints, --others and --via.",

@@ -13,7 +13,6 @@ from typing import Any, Final
 from g1stream.analysis.summarise import summarise_run
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.app.arming import ArmingReport, confirm_arming, require_arming
-from g1stream.app.rollout import rollout
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
@@ -212,6 +211,8 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
 
 def _rehearse(motion: Motion | str | Path, config: Config) -> None:
     """Refuse a policy that ends early in the simulator, within the first seconds of the motion."""
+    from g1stream.app.rollout import rollout  # it takes a while to import
+
     settings = config.stream
     seconds = min(settings.rehearse, settings.duration or settings.rehearse)
     _LOGGER.info("rehearsal: %g s in the simulator", seconds)

@@ -67,7 +67,7 @@ def plays(what: str, *words: str) -> Callable[[Session], Sequence[str]]:
         width = sum(TERMS.values())
         turning = np.zeros((width, 1), np.float32)
         turning[TURNING] = 1.0
-        constants = {
+        constants: dict[str, Any] = {
             "of_turning": turning,
             "to_zeros": np.zeros((1, 29), np.float32),
             "one": np.ones((1, 1), np.float32),

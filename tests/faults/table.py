@@ -699,58 +699,6 @@ def turns(until: float = inf) -> list[dict[str, Any]]:
 
 
 POLICY: Final = [
-    Fault(name, "policy", robot, prepare=plays(what), at=IN_PLAY, record="complete", **more)
-    for name, what, robot, more in (
-        ("actions are NaN", "nan", turns(), {"reason": "not finite"}),
-        (
-            "an action or two are NaN",
-            "nan",
-            turns(IN_PLAY + 0.03),
-            {"code": 0, "ends": False},
-        ),
-        ("actions take too long", "slow", turns(), {"alone": True, "handover_ms": inf}),
-        (
-            "a policy, and no LowState any more",
-            "stands",
-            [{"at": IN_PLAY, "do": "silent"}],
-            {"reason": "safety.state_timeout"},
-        ),
-        (
-            "Ctrl-C while a policy plays",
-            "stands",
-            (),
-            {"act": send(signal.SIGINT), "code": 130, "reason": "SIGINT"},
-        ),
-        ("Ctrl-C twice while a policy plays", "stands", (), {"act": twice, "code": 130}),
-        (
-            "SIGKILL while a policy plays",
-            "stands",
-            (),
-            {
-                "act": send(signal.SIGKILL),
-                "code": -9,
-                "reason": "guard",
-                "mute": True,
-                "handover_ms": HANDOVER,
-                "alone": True,
-            },
-        ),
-        (
-            "SIGSTOP while a policy plays",
-            "stands",
-            (),
-            {
-                "act": stop(1.5, then=signal.SIGKILL),
-                "code": -9,
-                "reason": "guard",
-                "mute": True,
-                "handover_ms": HANDOVER,
-                "alone": True,
-            },
-        ),
-    )
-]
-POLICY += [
     Fault(
         "a policy that falls in the rehearsal",
         "policy",
@@ -758,9 +706,60 @@ POLICY += [
         code=2,
         sent=False,
         reason="simulator",
-    )
+    ),
+    *(
+        Fault(name, "policy", robot, prepare=plays(what), at=IN_PLAY, record="complete", **more)
+        for name, what, robot, more in (
+            ("actions are NaN", "nan", turns(), {"reason": "not finite"}),
+            (
+                "an action or two are NaN",
+                "nan",
+                turns(IN_PLAY + 0.03),
+                {"code": 0, "ends": False},
+            ),
+            ("actions take too long", "slow", turns(), {"alone": True, "handover_ms": inf}),
+            (
+                "a policy, and no LowState any more",
+                "stands",
+                [{"at": IN_PLAY, "do": "silent"}],
+                {"reason": "safety.state_timeout"},
+            ),
+            (
+                "Ctrl-C while a policy plays",
+                "stands",
+                (),
+                {"act": send(signal.SIGINT), "code": 130, "reason": "SIGINT"},
+            ),
+            ("Ctrl-C twice while a policy plays", "stands", (), {"act": twice, "code": 130}),
+            (
+                "SIGKILL while a policy plays",
+                "stands",
+                (),
+                {
+                    "act": send(signal.SIGKILL),
+                    "code": -9,
+                    "reason": "guard",
+                    "mute": True,
+                    "handover_ms": HANDOVER,
+                    "alone": True,
+                },
+            ),
+            (
+                "SIGSTOP while a policy plays",
+                "stands",
+                (),
+                {
+                    "act": stop(1.5, then=signal.SIGKILL),
+                    "code": -9,
+                    "reason": "guard",
+                    "mute": True,
+                    "handover_ms": HANDOVER,
+                    "alone": True,
+                },
+            ),
+        )
+    ),
 ]
-
 FAULTS: Final = [
     *(*STATES, *ROBOT, *DEADMAN, *ARMS),
     *(*INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING, *POLICY),

@@ -35,6 +35,8 @@ def test_every_setting_with_a_flag_is_one(command, tmp_path):
             given.append(str(example))
         if (table == "record" or name == "require_record") and command in ("stream", "replay"):
             given += ["--record", "y.mcap"]
+        if name in ("stand", "rehearse"):
+            given += ["--policy", "x.onnx"]
         if name == "live_port":
             given.append("--live")
         config = resolved(command, *given)

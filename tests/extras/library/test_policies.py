@@ -126,7 +126,7 @@ def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
     metrics, summary = session.metrics(), session.summary()
     assert (row["policy"], row["support"]) == ("holosoma_dance1_subject2", "free")
     assert row["success_sonic"] is metrics.success.success_sonic is True
-    assert row["survived"] == summary.termination.played_s == pytest.approx(4.0, abs=0.05)
+    assert row["survived"] == summary.termination.played_s == pytest.approx(3.5, abs=0.05)
     assert row["mae"] == metrics.tracking.all_joints.mae_rad
     assert row["e_vel"] == metrics.body.world.vel_mm_per_frame
     assert row["e_acc"] == metrics.body.world.acc_mm_per_frame2

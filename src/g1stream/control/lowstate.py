@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.monitor import RobotMonitor
-from g1stream.control.reading import Reading, all_finite, is_unit
+from g1stream.control.reading import Reading, all_finite, is_unit, ticks_between
 from g1stream.dds.remote import Operator
 from g1stream.robot.joints import JointSet
 
@@ -232,7 +232,7 @@ class LowStateChecks:
             return
         if self._tick is not None:
             self._ticks = True
-            if self._begun and (tick - self._tick) % 2**32 >= 2**31:
+            if self._begun and ticks_between(self._tick, tick) < 0:
                 self._other_robot = self._other_robot or (
                     f"the tick of LowState went back from {self._tick} to {tick}: its publisher "
                     "was restarted"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.messages import LowState
 
-__all__ = ["STALE", "ImuReading", "Reading", "all_finite", "is_unit"]
+__all__ = ["STALE", "ImuReading", "Reading", "all_finite", "is_unit", "ticks_between"]
 
 STALE: Final = 0.02
 """No torque is computed from a LowState older than this, s: ten states at 500 Hz, in which a fast
@@ -82,6 +82,11 @@ class Reading:
             bool(np.isfinite(values).all()),
             (state.published, state.received),
         )
+
+
+def ticks_between(before: int, after: int) -> int:
+    """Ms from one tick of LowState to another, which counts in 32 bits; negative: it went back."""
+    return (after - before + 2**31) % 2**32 - 2**31
 
 
 def all_finite(values: NDArray[np.floating]) -> bool:

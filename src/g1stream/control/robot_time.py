@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.reading import STALE
+from g1stream.control.reading import STALE, ticks_between
 
 if TYPE_CHECKING:
     from g1stream.control.reading import Reading
@@ -22,7 +22,6 @@ _SLACK: Final = 10_000_000
 _CATCH_UP: Final = 20_000_000
 _NS_PER_MS: Final = 1_000_000
 _STALE: Final = round(STALE * 1e9)
-_WRAP: Final = 1 << 32
 
 
 class RobotTime:
@@ -53,10 +52,10 @@ class RobotTime:
         last, self._last = self._last, measured
         if last is None:
             return
-        ticks = (measured.tick - last.tick) % _WRAP
-        self._ticks = self._ticks or ticks > 0
+        ticks = ticks_between(last.tick, measured.tick)
+        self._ticks = self._ticks or ticks != 0
         if self._ticks:
-            self._passed += ticks * _NS_PER_MS if ticks < _WRAP // 2 else 0
+            self._passed += max(0, ticks) * _NS_PER_MS
         else:
             self._passed += round(min(measured.received - last.received, _STALE) * scale)
 

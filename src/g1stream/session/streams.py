@@ -37,6 +37,7 @@ __all__ = [
     "Stream",
     "StreamT",
     "TorsoImuStream",
+    "delays_of_steps",
     "neighbours",
     "read_only",
     "without_steps",
@@ -308,6 +309,12 @@ def _phase(number: int) -> Phase:
         ) from error
 
 
+def delays_of_steps(published: Ints, states: NDArray[np.unsignedinteger[Any]]) -> Floats:
+    """(N,) s from the publish times (N,) ns of LowStates, 0 where unknown, to those of commands."""
+    delays: Floats = np.where(states > 0, (published - states.astype(np.int64)) / 1e9, np.nan)
+    return delays
+
+
 class PolicyStream(Stream):
     """The steps of a learned policy, each with the publish time of the command that it made first.
 
@@ -367,8 +374,7 @@ class PolicyStream(Stream):
     @cached_property
     def delay(self) -> Floats:
         """(N,) s from the publish time of the LowState to that of the command; nan if unknown."""
-        behind = self.publish_time - self.state_published.astype(np.int64)
-        return read_only(np.where(self.state_published > 0, behind / 1e9, np.nan))
+        return read_only(delays_of_steps(self.publish_time, self.state_published))
 
 
 class CommandStream(Stream):

@@ -26,7 +26,7 @@ from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import POLICY_FIELDS, TIMING_FIELDS, MessageBatch, encode_string
-from g1stream.session.streams import MAX_GAP_NS, neighbours
+from g1stream.session.streams import MAX_GAP_NS, delays_of_steps, neighbours
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
     GHOST_PREFIX,
@@ -167,9 +167,7 @@ class _Decoded:
     @property
     def delay(self) -> Floats:
         """(T,) s from the publish times of the observed states, by steps of a policy; nan: none."""
-        states = self._samples["state_published"].astype(np.int64)
-        delays: Floats = np.where(states > 0, (self.published - states) / 1e9, np.nan)
-        return delays
+        return delays_of_steps(self.published, self._samples["state_published"])
 
     @property
     def played(self) -> NDArray[np.bool_]:

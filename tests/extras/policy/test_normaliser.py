@@ -35,7 +35,7 @@ def test_mean_and_deviation_are_those_of_the_file(tmp_path, before, external):
     path = tmp_path / "policy.onnx"
     how = {"save_as_external_data": True, "location": "policy.onnx.data", "size_threshold": 0}
     onnx.save(normalising(before=before), path, **(how if external else {}))
-    mean, std = Network(path).normaliser()
+    mean, std = Network(path).normaliser
     np.testing.assert_array_equal(mean, MEAN)
     np.testing.assert_array_equal(std, STD)
 
@@ -54,4 +54,4 @@ def test_mean_and_deviation_are_those_of_the_file(tmp_path, before, external):
 def test_what_is_no_normalisation_of_the_observation_is_none(tmp_path, model):
     path = tmp_path / "policy.onnx"
     onnx.save(model, path)
-    assert Network(path).normaliser() is None
+    assert Network(path).normaliser is None

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from g1stream.config import read_toml
 from g1stream.errors import ConfigError
@@ -24,11 +25,11 @@ from g1stream.files import read_file
 from g1stream.input_limits import SETTINGS_FILE
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.session.records import Record
+from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, listed, table
 from g1stream.types import Floats
 
-__all__ = ["PolicyContract", "Term", "read_contract"]
+__all__ = ["PolicyContract", "Term", "read_contract", "recorded_contract"]
 
 _LABEL: Final = 16
 #: Above these no policy of a G1 has one: N·m/rad, N·m·s/rad, rad for an action of 1.
@@ -148,6 +149,14 @@ class _Facts(NamedTuple):
 
     where: str
     values: dict[str, Any]
+
+
+def recorded_contract(info: PolicyInfo | None) -> PolicyContract | None:
+    """The contract that a session has of its policy; None where it has none that can be read."""
+    try:
+        return PolicyContract.model_validate(info.contract if info else {})
+    except ValidationError:
+        return None
 
 
 def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:

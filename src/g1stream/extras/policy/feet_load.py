@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_GROUPS, N_JOINTS
 from g1stream.robot.soles import SIDES, Soles
 
 if TYPE_CHECKING:
@@ -16,11 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FeetLoad"]
 
-_LEGS: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
 #: (2, 6) of each leg.
-_JOINTS: Final = np.array(
-    [[JOINT_NAMES.index(f"{side}_{joint}_joint") for joint in _LEGS] for side in SIDES]
-)
+_JOINTS: Final = np.array([JOINT_GROUPS[f"{side}_leg"] for side in SIDES])
 #: By how much a joint is turned, to find out how far that lifts the foot, rad.
 _TURN: Final = 1e-4
 
@@ -50,6 +47,6 @@ class FeetLoad:
         missing = gravity - measured.tau
         force = 0.0
         for foot, joints in enumerate(_JOINTS):
-            lift = lifts[foot * len(_LEGS) : (foot + 1) * len(_LEGS), foot]
+            lift = lifts.reshape(*_JOINTS.shape, -1)[foot, :, foot]
             force += float(lift @ missing[joints]) / float(lift @ lift)
         return force / self._weight

@@ -17,10 +17,10 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate
 
 if TYPE_CHECKING:
-    from g1stream.motion.readers import MotionFile, MotionReader
+    from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["open_held_motion"]
+__all__ = ["HeldMotion"]
 
 #: No policy holds a longer motion, frames.
 _LONGEST: Final = 1 << 20
@@ -28,17 +28,14 @@ _ORIGIN: Final = np.zeros(3)
 _UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def open_held_motion(file: MotionFile) -> MotionReader:
-    """An ONNX file whose outputs by time_step are a motion.
+class HeldMotion:
+    """An ONNX file whose outputs by time_step are a motion: a `MotionReader`.
 
     Raises:
         MotionError: it holds none.
         ConfigError: it is no policy.
     """
-    return _HeldMotion(file)
 
-
-class _HeldMotion:
     def __init__(self, file: MotionFile) -> None:
         self._file, self._network = file, Network(file.path)
         self._robot = G1.default()

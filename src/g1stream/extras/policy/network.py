@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -107,6 +108,7 @@ class Network:
         action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
         return action
 
+    @cached_property
     def normaliser(self) -> tuple[Floats, Floats] | None:
         """Mean and deviation (width,) by which it normalises its observation; None: it does not."""
         return normaliser(self.path, self._observation, self.width)

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from pydantic import ValidationError
 
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.policy.contract import PolicyContract, read_contract
+from g1stream.extras.policy.contract import PolicyContract, read_contract, recorded_contract
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observer import Observer, frame_of, state_of
 from g1stream.extras.policy.odometry import OF_BASE
@@ -194,9 +193,8 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
 def _contract(session: Session, network: Network) -> PolicyContract:
     """What was recorded; of a recorder that was not told, what the file says now."""
     info = session.policy_info
-    try:
-        recorded = PolicyContract.model_validate(info.contract if info else {})
-    except ValidationError:
+    recorded = recorded_contract(info)
+    if recorded is None:
         return read_contract(network, session.robot)
     if info and info.sha256 != network.sha256:
         asked = read_contract(network, session.robot).terms
@@ -227,9 +225,9 @@ def _file(session: Session) -> Path:
 
 def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) -> dict[str, Any]:
     """The fields of `PolicyReplay` about actions."""
-    replayed = np.empty_like(steps.action)
+    replayed, order = np.empty_like(steps.action), contract.order
     for i, observation in enumerate(steps.observation):
-        replayed[i, contract.order] = network.act(observation)
+        replayed[i, order] = network.act(observation)
     differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
     # NaN has many bit patterns, all of which say the same.
     differing &= ~(np.isnan(steps.action) & np.isnan(replayed))

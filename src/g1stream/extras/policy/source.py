@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import Gains
+from g1stream.control.reading import ticks_between
 from g1stream.control.sources import Source
 from g1stream.dds.messages import POLICY, PolicyStep
 from g1stream.errors import ConfigError, SafetyError
@@ -32,6 +33,7 @@ from g1stream.robot.rotations import (
     quat_from_yaw,
     quat_mul,
     quat_rotate_inverse,
+    tilt_of,
     yaw_of,
 )
 from g1stream.session.records import PolicyInfo
@@ -170,7 +172,7 @@ class PolicyTargets(Source):
 
     def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
         now = measured.received / 1e9
-        if phase is not Phase.RAMP or not self.awaited or now < self._weighed + _LOAD_PERIOD:
+        if phase is not Phase.RAMP or now < self._weighed + _LOAD_PERIOD or not self.awaited:
             return
         self._weighed = now
         self._share = self._load.share(measured)
@@ -205,7 +207,7 @@ class PolicyTargets(Source):
 
     def about(self) -> PolicyInfo | None:
         network = self._network
-        mean, std = network.normaliser() or ((), ())
+        mean, std = network.normaliser or ((), ())
         return PolicyInfo(
             trained_mean=list(mean),
             trained_std=list(std),
@@ -247,9 +249,8 @@ class PolicyTargets(Source):
 
     def _watch(self, moment: Moment) -> None:
         """Find out whether the robot falls."""
-        reference = quat_rotate_inverse(moment.target.root_quat_wxyz, _UP)
-        up = quat_rotate_inverse(moment.measured.imu.quat_wxyz.astype(np.float64), _UP)
-        tilt = math.acos(min(1.0, max(-1.0, float(up @ reference))))
+        measured = moment.measured.imu.quat_wxyz.astype(np.float64)
+        tilt = tilt_of(quat_mul(measured, quat_conj(moment.target.root_quat_wxyz)))
         if tilt > TILTED and not self._fall:
             self._fall = (
                 f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
@@ -263,7 +264,7 @@ class PolicyTargets(Source):
             return state
         before, self._observed = self._observed or measured, measured
         # Where ticks stand still, the time of reception counts.
-        passed = (measured.tick - before.tick) % 2**32 / 1e3
+        passed = ticks_between(before.tick, measured.tick) / 1e3
         passed = passed or (measured.received - before.received) / 1e9
         self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
         pose = self._odometry.pos, state.quat_wxyz

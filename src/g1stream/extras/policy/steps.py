@@ -11,11 +11,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
 from g1stream.analysis.summarise import percentiles
 from g1stream.errors import RobotError
-from g1stream.extras.policy.contract import PolicyContract
+from g1stream.extras.policy.contract import PolicyContract, recorded_contract
 from g1stream.extras.policy.source import TILTED
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_rotate_inverse
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.app.session import Session
-    from g1stream.session.streams import PolicyStream
+    from g1stream.session.streams import PolicyStream, Stream
 
 __all__ = ["Fall", "PolicySteps", "Sign", "TermFigures", "policy_steps"]
 
@@ -161,6 +160,13 @@ class _Trace(NamedTuple):
     values: Floats
 
 
+class _AtLimit(NamedTuple):
+    """Times (T,) of the states, s, and which motors (T, 29) are at their limits."""
+
+    time: Floats
+    full: NDArray[np.bool_]
+
+
 def policy_steps(session: Session) -> PolicySteps | None:
     """What the steps of a policy say; None where a session has none.
 
@@ -170,16 +176,17 @@ def policy_steps(session: Session) -> PolicySteps | None:
     steps, info = session.policy, session.policy_info
     if steps is None or len(steps) < 2:
         return None
-    contract = _contract(session)
+    contract = recorded_contract(info)
     step = 1.0 / contract.rate if contract else float(np.median(np.diff(steps.time)))
     terms = list(_terms(steps, contract))
     begin, fall = float(steps.time[0]), _fall(session)
+    full = _at_limit(session)
     told, window = None, 0.0
     if fall:
         window = min(_WINDOW, 0.5 * (fall[0] - begin))
         traces = [*terms, _actions(steps, contract), *_contacts(session, steps)]
         signs = [*_left(traces, fall[0], window), *_times(session, steps, step, fall[0], window)]
-        signs += _torques(session, begin, fall[0], window)
+        signs += _torques(full, begin, fall[0], window)
         told = Fall(time_s=fall[0], why=fall[1], signs=_first(signs))
     end = fall[0] if fall else float(steps.time[-1])
     known = steps.delay[np.isfinite(steps.delay)]
@@ -192,21 +199,13 @@ def policy_steps(session: Session) -> PolicySteps | None:
         delay_s=percentiles(known) if len(known) else None,
         state_age_s=percentiles(steps.state_age),
         inference_s=percentiles(steps.inference_time),
-        saturated=_saturated(session, begin, end),
+        saturated=_saturated(full, begin, end),
         terms={
             name: _figures(trace, steps, at, info, fall, window)
             for (name, at), trace in zip(steps.terms.items(), terms, strict=True)
         },
         fall=told,
     )
-
-
-def _contract(session: Session) -> PolicyContract | None:
-    info = session.policy_info
-    try:
-        return PolicyContract.model_validate(info.contract if info else {})
-    except ValidationError:
-        return None
 
 
 def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Trace]:
@@ -255,20 +254,20 @@ def _contacts(session: Session, steps: PolicyStream) -> Iterator[_Trace]:
         soles = Soles(session.robot)
     except RobotError:
         return
-    heights = []
-    for stream, quat, pos in (
-        (measured, measured.imu_quat_wxyz, None),
-        (reference, reference.root_quat_wxyz, reference.root_pos),
-    ):
-        at = np.searchsorted(stream.time, steps.time).clip(0, len(stream) - 1)
-        if pos is None:
-            place = base.position[np.searchsorted(base.time, steps.time).clip(0, len(base) - 1)]
-        else:
-            place = pos[at]
-        corners = soles.path(stream.q[at], place, quat[at])[..., 2]
-        heights.append(corners.reshape(len(corners), len(SIDES), -1).min(axis=2))
+
+    def at(stream: Stream) -> NDArray[np.intp]:
+        return np.searchsorted(stream.time, steps.time).clip(0, len(stream) - 1)
+
+    def heights(q: Floats, place: Floats, quat: Floats) -> Floats:
+        corners = soles.path(q, place, quat)[..., 2]
+        lowest: Floats = corners.reshape(len(corners), len(SIDES), -1).min(axis=2)
+        return lowest
+
+    own, its = at(measured), at(reference)
+    above = heights(measured.q[own], base.position[at(base)], measured.imu_quat_wxyz[own])
+    above -= heights(reference.q[its], reference.root_pos[its], reference.root_quat_wxyz[its])
     names = [f"the height of the {side} sole" for side in SIDES]
-    yield _Trace("contact", names, steps.time, heights[0] - heights[1])
+    yield _Trace("contact", names, steps.time, above)
 
 
 def _left(traces: list[_Trace], fall: float, window: float) -> Iterator[Sign]:
@@ -323,9 +322,9 @@ def _times(
         yield Sign(kind="action", what=what, time_s=float(steps.time[found[0]]))
 
 
-def _torques(session: Session, begin: float, fall: float, window: float) -> Iterator[Sign]:
+def _torques(of: _AtLimit, begin: float, fall: float, window: float) -> Iterator[Sign]:
     """Motors at their limits for longer than ever before."""
-    time, full = _at_limit(session)
+    time, full = of
     for joint in np.flatnonzero(full.any(axis=0)):
         runs = list(_runs(full[:, joint]))
         spans = [(float(time[a]), float(time[b] - time[a])) for a, b in runs]
@@ -337,15 +336,14 @@ def _torques(session: Session, begin: float, fall: float, window: float) -> Iter
                 break
 
 
-def _at_limit(session: Session) -> tuple[Floats, NDArray[np.bool_]]:
-    """Times (T,) of the states, s, and which motors (T, 29) are at their limits."""
+def _at_limit(session: Session) -> _AtLimit:
     measured, limit = session.measured, session.robot.torque_limit
     full = (np.abs(measured.tau) >= _SATURATED * limit) & (limit > 0.0)
-    return measured.time, full
+    return _AtLimit(measured.time, full)
 
 
-def _saturated(session: Session, begin: float, end: float) -> dict[str, float]:
-    time, full = _at_limit(session)
+def _saturated(of: _AtLimit, begin: float, end: float) -> dict[str, float]:
+    time, full = of
     inside = (time >= begin) & (time <= end)
     shares = full[inside].mean(axis=0) if inside.any() else np.zeros(len(JOINT_NAMES))
     order = np.argsort(-shares, kind="stable")

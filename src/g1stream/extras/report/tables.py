@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -120,11 +120,8 @@ _PERCENTILES: Final = (
     Column("p99.9", "µs", "p99_9"),
     Column("max", "µs", "max"),
 )
-_MILLISECONDS: Final = (
-    Column("p50", "ms", "p50", ".2f", 1e3),
-    Column("p99", "ms", "p99", ".2f", 1e3),
-    Column("p99.9", "ms", "p99_9", ".2f", 1e3),
-    Column("max", "ms", "max", ".2f", 1e3),
+_MILLISECONDS: Final = tuple(
+    replace(column, unit="ms", form=".2f", scale=1e3) for column in _PERCENTILES
 )
 _TERMS: Final = (
     Column("mean", "", "mean", ".3f"),

@@ -1,11 +1,24 @@
-"""A small policy: a tracker of 154 values whose action is a product with the observation."""
+"""A small policy, a tracker of 154 values whose action is a product with the observation; and the
+policies of others, which are not part of the project."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from g1stream.robot.joints import JOINT_NAMES
 
-__all__ = ["METADATA", "network_of"]
+__all__ = ["DANCE", "METADATA", "POLICIES", "needs_policies", "network_of"]
+
+_SHARED = Path(__file__).parents[2] / "shared"
+POLICIES = _SHARED / "policies"
+#: The motion that two of them track.
+DANCE = _SHARED / "lafan1" / "dance1_subject2.csv"
+needs_policies = pytest.mark.skipif(
+    not (POLICIES.is_dir() and DANCE.exists()),
+    reason="the policies of others are not there: ../shared/policies",
+)
 
 #: As whole_body_tracking writes it.
 METADATA = {

@@ -12,10 +12,9 @@ from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import LibraryCase
+from known_policies import DANCE, POLICIES, needs_policies
 
-POLICIES = Path(__file__).parents[4] / "shared" / "policies"
 HOLOSOMA = POLICIES / "holosoma_dance1_subject2.onnx"
-DANCE = POLICIES.parent / "lafan1" / "dance1_subject2.csv"
 
 
 def case(path, out="out", **over):
@@ -113,7 +112,7 @@ def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not HOLOSOMA.exists(), reason="the policies of others are not there: ../shared")
+@needs_policies
 def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
     path = tmp_path / "dance.npz"
     g1stream.load_motion(DANCE).trim(0.0, 1.0).save(path)

@@ -1,7 +1,6 @@
 """Observations, actions and targets equal those of the programs that the policies came with."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +14,9 @@ from g1stream.extras.policy.observation import ReferenceFrame, RobotState
 from g1stream.extras.policy.observer import Observer, anchor_poses
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
+from known_policies import DANCE, POLICIES, needs_policies
 
-SHARED = Path(__file__).parents[4] / "shared"
-POLICIES = SHARED / "policies"
-pytestmark = pytest.mark.skipif(
-    not POLICIES.is_dir(), reason="the policies of others are not there: ../shared/policies"
-)
+pytestmark = needs_policies
 BENT = {"*": 0.0, "*_hip_pitch_*": -0.312, "*_knee_*": 0.669, "*_ankle_pitch_*": -0.363} | {
     "*_shoulder_pitch_*": 0.2,
     "left_shoulder_roll_*": 0.2,
@@ -100,7 +96,7 @@ def references(contract, network, robot):
     """The reference of a frame: of the motion in the network, or of the dance at 50 fps."""
     if contract.reference == "in the policy":
         return lambda frame: held_frame(contract, network, frame)
-    dance = load_motion(SHARED / "lafan1" / "dance1_subject2.csv")
+    dance = load_motion(DANCE)
     times = np.arange(int(dance.duration * 50) + 1) * dance.fps / 50.0
     joints = np.stack(
         [np.interp(times, np.arange(dance.n_frames), one) for one in dance.joint_pos.T], axis=1
@@ -158,7 +154,7 @@ def test_each_policy_observes_and_does_what_it_did_elsewhere(name, tmp_path):
 
 @pytest.fixture(scope="module")
 def dance():
-    return load_motion(SHARED / "lafan1" / "dance1_subject2.csv")
+    return load_motion(DANCE)
 
 
 def in_isaac_order(contract):

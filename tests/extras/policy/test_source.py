@@ -1,7 +1,5 @@
 """The targets of a policy: when it computes them, what it repeats, how it begins and ends."""
 
-from pathlib import Path
-
 import numpy as np
 import onnx
 import pytest
@@ -24,15 +22,9 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul, tilt_of, yaw_of
 from g1stream.robot.soles import Soles
 from g1stream.types import Phase
+from known_policies import DANCE, POLICIES, needs_policies
 
-SHARED = Path(__file__).parents[4] / "shared"
-POLICIES = SHARED / "policies"
-DANCE = SHARED / "lafan1" / "dance1_subject2.csv"
 TRACKERS = ["unitree_dance1_subject2/policy.onnx", "holosoma_dance1_subject2.onnx"]
-needs_policies = pytest.mark.skipif(
-    not (POLICIES.is_dir() and DANCE.exists()),
-    reason="the policies of others are not there: ../shared/policies",
-)
 
 ROBOT = G1.default()
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

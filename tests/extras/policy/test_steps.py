@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -24,11 +23,9 @@ from g1stream.extras.report.page import numbers
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import MemorySource
 from g1stream.types import Phase
-from known_policies import METADATA, network_of
+from known_policies import DANCE, METADATA, POLICIES, needs_policies, network_of
 
-SHARED = Path(__file__).parents[4] / "shared"
-UNITREE = SHARED / "policies" / "unitree_dance1_subject2" / "policy.onnx"
-DANCE = SHARED / "lafan1" / "dance1_subject2.csv"
+UNITREE = POLICIES / "unitree_dance1_subject2" / "policy.onnx"
 TERMS = {
     "motion_command": 58,
     "motion_anchor_ori_b": 6,
@@ -37,8 +34,6 @@ TERMS = {
     "joint_vel_rel": 29,
     "last_action": 29,
 }
-
-needs_policies = pytest.mark.skipif(not UNITREE.exists(), reason="needs ../shared/policies")
 
 
 def save(path, weights, **told):

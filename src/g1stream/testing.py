@@ -223,21 +223,26 @@ def dask_cluster(
         file = Path(directory, "scheduler.json")
 
         def start(*arguments: str) -> subprocess.Popen[bytes]:
-            common = ("--scheduler-file", str(file), "--no-dashboard")
             return subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments, *common],
+                [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
 
-        head = start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        many = [start("worker", "--no-nanny", "--nthreads", str(threads)) for _ in range(workers)]
+        head = start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file)
+        )
+        many: list[subprocess.Popen[bytes]] = []
         try:
-            while not file.exists():
+            # The file exists before it is written; its last line is the outermost brace.
+            while not (file.exists() and file.read_text().endswith("\n}")):
                 if head.poll() is not None:
                     raise RuntimeError(f"dask scheduler ended with code {head.returncode}")
                 time.sleep(0.05)
-            yield json.loads(file.read_text())["address"], head, many
+            address = json.loads(file.read_text())["address"]
+            worker = ("worker", address, "--no-nanny", "--nthreads", str(threads))
+            many += [start(*worker) for _ in range(workers)]
+            yield address, head, many
         finally:
             for process in (*many, head):
                 process.kill()  # a worker that is to end in order waits for its scheduler

@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import (
     LOWCMD,
     LOWSTATE,
@@ -39,6 +38,7 @@ from g1stream.dds.messages import (
     LowCmd,
     LowState,
     Reference,
+    encode_samples,
 )
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
 from g1stream.sim.lockstep import Lockstep
@@ -48,7 +48,7 @@ from g1stream.types import Floats, Ints, Phase
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from g1stream.dds.messages import Topic
     from g1stream.session.source import MemorySource
@@ -335,7 +335,7 @@ class SyntheticSession:
         }
         for topic, values in ((REFERENCE, reference), (LOWCMD, command)):
             logged = stamps + round(self.latency * 1e9)
-            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, stamps)
+            writer.write_batch(_channel(topic), encode_samples(topic, values, n), logged, stamps)
 
     def _write_states(
         self, writer: SessionWriter | MemorySource, ticks: Ints, rng: np.random.Generator
@@ -361,7 +361,7 @@ class SyntheticSession:
         }
         base = {"position": np.tile([0.0, 0.0, 0.8], (n, 1))}
         for topic, values in ((LOWSTATE, state), (SPORTMODESTATE, base)):
-            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, published)
+            writer.write_batch(_channel(topic), encode_samples(topic, values, n), logged, published)
 
 
 def _channel(topic: Topic) -> str:
@@ -369,16 +369,3 @@ def _channel(topic: Topic) -> str:
     from g1stream.session.streams import STREAMS  # needs more than a fake clock does
 
     return next(name for name, kind in STREAMS.items() if kind.source == topic)
-
-
-def _samples(topic: Topic, values: Mapping[str, Floats], n: int) -> NDArray[np.uint8]:
-    """(n, size) samples of a topic with these fields, the others 0."""
-    layout = Layout.of(topic.message.idl_type)
-    rows = np.zeros((n, layout.sample_size), np.uint8)
-    rows[:, : len(CDR_HEADER)] = np.frombuffer(CDR_HEADER, np.uint8)
-    for path, given in values.items():
-        place = layout[path]
-        offsets = place.offsets[:N_JOINTS] if place.offsets.ndim else place.offsets
-        octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
-        rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
-    return rows

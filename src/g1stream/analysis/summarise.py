@@ -139,6 +139,7 @@ def summarise(session: Recording) -> Summary:
         interface=info.interface,
         versions={**({"g1stream": info.g1stream} if info.g1stream else {}), **info.versions},
         motion=info.motion,
+        attached=session.attached,
         settings=None if info.config is None else _changed_settings(info.config),
         gains={name: (min(values), max(values)) for name, values in gains if values} or None,
         phases=session.phases,
@@ -427,7 +428,8 @@ def _termination(
     settings = (info.config or {}).get("stream")
     start = settings.get("start") if isinstance(settings, dict) else None
     guard = next((event.text for event in session.log if event.name == GUARD), None)
-    undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
+    known = session.attached is None  # else phases before and after PLAY are nobody's
+    undamped = None if guard or not known else _undamped_in(phases, info, stream, recorder, streams)
     reason = guard if undamped is None else "the stream process ended without DAMP"
     values = {
         "reason": stream.reason if stream else reason,

@@ -16,6 +16,7 @@ from g1stream.analysis.body import TerminationMetrics
 from g1stream.analysis.tracking import TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
+    AttachedInfo,
     Int,
     MotionInfo,
     Percentiles,
@@ -149,6 +150,7 @@ class Summary(Record):
         host, domain, interface: where it was recorded, or streamed.
         versions: of g1stream and the packages that it used.
         motion: what was played.
+        attached: how it was found, where it was attached afterwards.
         settings: those that are not the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
         joints: names of those that played the motion; None where that is not known.
@@ -178,6 +180,7 @@ class Summary(Record):
     interface: str | None = None
     versions: dict[str, str] = {}
     motion: MotionInfo | None = None
+    attached: AttachedInfo | None = None
     settings: dict[str, Any] | None = None
     gains: dict[str, tuple[float, float]] | None = None
     joints: list[str] | None = None
@@ -198,6 +201,8 @@ class Summary(Record):
     @property
     def moves(self) -> bool:
         """Whether the pelvis moved as the robot did, or as the motion did, as far as is known."""
+        if self.attached:
+            return self.attached.moves
         return self.stream is not None and self.stream.support in _MOVES
 
     @computed_field  # type: ignore[prop-decorator]
@@ -277,6 +282,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         ("session", _files(summary) if summary.files_bytes or recorder else ""),
         ("recorded", _recorded(summary) if summary.first_ns is not None else ""),
         ("motion", _motion(motion) if motion else ""),
+        ("reference", _attached(summary.attached) if summary.attached else ""),
         ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),
         ("joints", _joints(summary)),
         ("phases", ", ".join(phases)),
@@ -455,7 +461,10 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
         f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
         + (excluded if tracking.excluded_states else "")
     )
-    delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
+    if summary.attached and summary.attached.by_robot:
+        delay = "not known: the robot's own joints told when the motion began"
+    else:
+        delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     return [
         *table(rows, left=(0, 5)),
         "",
@@ -481,6 +490,13 @@ def _success(summary: Summary) -> list[tuple[str, str]]:
         for name, answer, detail in criteria
     ]
     return [("success", "; ".join(text))]
+
+
+def _attached(info: AttachedInfo) -> str:
+    return (
+        f"attached afterwards, found by {info.by}: {info.first_s:.2f} to {info.last_s:.2f} s of "
+        f"the motion at {info.speed:.3f} of its speed, similarity {info.similarity:.2f}"
+    )
 
 
 def _delay(tracking: TrackingSummary, preview: float | None) -> str:

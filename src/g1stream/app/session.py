@@ -85,6 +85,25 @@ class Session(Recording):
 
         return metrics(self)
 
+    def attach(self, motion: Motion, *, play: int = 1) -> Session:
+        """The same session with the motion that was played in it as its reference.
+
+        For what others recorded, who have commands and states and no reference. `attached` says
+        when the motion was found to have been played and how surely; `docs/anyones-session.md` how.
+
+        Args:
+            motion: what was played, or more than that.
+            play: which time, from 1, where it was played several times.
+
+        Raises:
+            RecordingError: the session has a reference already; the motion was not played in it; or
+                several places in the motion are as likely.
+            ConfigError: it was not played that often.
+        """
+        from g1stream.analysis.attached import with_motion
+
+        return Session(with_motion(self, motion, play))
+
     def plot(
         self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
     ) -> Figure:

@@ -6,13 +6,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, Command, print_summary
+from g1stream.cli.command import EXIT_OK, print_summary
 from g1stream.cli.flags import argument, flag
+from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import RecordingError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(Command):
+class Info(SessionFlags):
     """Reads files of killed recorders too.
 
     Examples:
@@ -29,9 +30,7 @@ class Info(Command):
 
     def run(self) -> int:
         """Print the summary, and return the exit code."""
-        from g1stream.app.session import open_session
-
-        session = open_session(self.file)
+        session = self.open(self.file)
         summary = session.summary()
         if summary.moves:  # elsewhere the links tell nothing that the joints do not
             with suppress(RecordingError):  # the problems say what is wrong with the file

@@ -55,6 +55,10 @@ COMMANDS: Final = {
             "Check or simulate many motions at once.",
         ),
         "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
+        "attach": (
+            "cli.attach:Attach",
+            "Find a motion in a session recorded without it, and add the reference.",
+        ),
         "report": (
             "extras.report.report_cli:Report",
             "Write a page on sessions: tables, figures, events.",

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.command import EXIT_OK
 from g1stream.cli.flags import argument, flag
+from g1stream.cli.session_flags import SessionFlags
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plot(Command):
+class Plot(SessionFlags):
     """Without --joints and --what: the joints that move most, the error over time and the RMSE of
     each joint. With them: a row for each joint, a column for each quantity.
 
@@ -36,9 +37,8 @@ class Plot(Command):
     def run(self) -> int:
         """Write the figure, and return the exit code."""
         from g1stream.analysis.plots import draw
-        from g1stream.app.session import open_session
 
         what = None if self.what is None else self.what.split(",")
-        draw(open_session(self.session), self.out, self.joints, what, force=self.force)
+        draw(self.open(self.session), self.out, self.joints, what, force=self.force)
         print(self.out)
         return EXIT_OK

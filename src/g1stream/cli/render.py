@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.command import EXIT_OK
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
+from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import ConfigError
 from g1stream.optional import extension
 from g1stream.text import counted
@@ -17,7 +18,7 @@ from g1stream.types import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(Command):
+class Render(SessionFlags):
     """The ghost has the reference's joints on the measured pelvis; time, phase and RMS error of all
     joints are written into each frame. Needs EGL or OSMesa, but no display and no GPU. The real
     G1's meshes are used with the extra `meshes`; MP4 needs the extra `video`.
@@ -45,12 +46,10 @@ class Render(Command):
 
     def run(self) -> int:
         """Write the video, and return the exit code."""
-        from g1stream.app.session import open_session
-
         started = time.monotonic()
         with showing_progress() as progress:
             video = extension("render")(
-                open_session(self.session),
+                self.open(self.session),
                 self.out,
                 start=self.start,
                 duration=self.duration,

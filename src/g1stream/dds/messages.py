@@ -20,9 +20,9 @@ from g1stream.dds.remote import BUTTONS_AT
 from g1stream.robot.joints import N_JOINTS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "ARM_SDK",
@@ -46,6 +46,7 @@ __all__ = [
     "SecondaryImu",
     "SportModeState",
     "Topic",
+    "encode_samples",
     "played_bits",
     "played_joints",
 ]
@@ -402,6 +403,28 @@ class Samples:
         """(N, ...) the same, a view of the samples where it can be: for who copies it at once."""
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values
+
+
+def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDArray[np.uint8]:
+    """(n, size) samples of a topic, as `Samples` reads them; checksums are 0.
+
+    Args:
+        topic: whose samples they are.
+        values: by dotted path in the IDL, (n, ...) values of fields; the others are 0. Of motors
+            the first 29 are given.
+        n: how many.
+    """
+    layout = Layout.of(topic.idl_type)
+    rows = np.zeros((n, layout.sample_size), np.uint8)
+    rows[:, : len(CDR_HEADER)] = np.frombuffer(CDR_HEADER, np.uint8)
+    for path, given in values.items():
+        place = layout[path]
+        offsets = place.offsets
+        if path.startswith(("motor_cmd.", "motor_state.")):
+            offsets = offsets[:N_JOINTS]
+        octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
+        rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
+    return rows
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.mcap_reader import RECOVER, Slices
-from g1stream.session.records import PolicyInfo, SessionInfo, read_record
+from g1stream.session.records import AttachedInfo, PolicyInfo, SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
     MAX_GAP_NS,
@@ -109,6 +109,7 @@ class Recording:
         source: what it is read from; `open_recording` gives the files on disk.
 
     Attributes:
+        source: as given.
         path: of the file or directory; of a session in memory only a name.
         paths: of the file or its parts, oldest first; empty in memory.
         absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
@@ -123,7 +124,7 @@ class Recording:
     """
 
     def __init__(self, source: SessionSource) -> None:
-        self._source = source
+        self.source = source
         self.path = source.path
         self.paths = source.paths
         self.absent_parts = source.absent_parts
@@ -192,6 +193,12 @@ class Recording:
         info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
         return info
 
+    @cached_property
+    def attached(self) -> AttachedInfo | None:
+        """How the reference was found, where it was attached afterwards; None elsewhere."""
+        info, _ = read_record(AttachedInfo, self.metadata.get("attached"), "attached")
+        return info
+
     def stream(self, kind: type[StreamT]) -> StreamT:
         """The samples of a DDS topic.
 
@@ -245,7 +252,7 @@ class Recording:
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
-        return self._source.attachments()
+        return self.source.attachments()
 
     @cached_property
     def log(self) -> list[LogEvent]:
@@ -256,7 +263,7 @@ class Recording:
             return list(compress(whole, self._inside(seconds)))
         return [
             LogEvent.decode(data)
-            for _, batch in self._source.batches({"/log"})
+            for _, batch in self.source.batches({"/log"})
             for data in batch.data
         ]
 
@@ -274,7 +281,7 @@ class Recording:
             times = self._whole._times([topic])[topic].time
             yield from compress(self._whole.messages(topic), self._inside(times))
             return
-        for _, batch in self._source.batches({topic}):
+        for _, batch in self.source.batches({topic}):
             times_ns = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times_ns, batch.data)
 
@@ -285,7 +292,7 @@ class Recording:
     def some(self, topic: str, most: int) -> Iterator[bytes]:
         """The bytes of about `most` messages of any topic, evenly spread over the whole session."""
         step, at = -(-self.topics.get(topic, 0) // most), 0
-        for _, batch in self._source.batches({topic}):
+        for _, batch in self.source.batches({topic}):
             yield from batch.data[-at % step :: step]
             at += len(batch.data)
 
@@ -360,7 +367,7 @@ class Recording:
             first = -np.inf if time.start is None else time.start
             end = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
             ranges = [(max(a, first), min(b, end)) for a, b in ranges]
-        part = type(self)(self._source)
+        part = type(self)(self.source)
         part._whole, part._ranges = self, ranges
         return part
 
@@ -425,7 +432,7 @@ class Recording:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
         parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
         counts: Counter[str] = Counter()
-        for topic, messages in self._source.batches(set(topics)):
+        for topic, messages in self.source.batches(set(topics)):
             counts[topic] += len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
             for name, values in (times | decode(topic, messages)).items():
@@ -458,7 +465,10 @@ class Recording:
                 "Copy it again, or record again.",
             )
         header = {"/log", *(topic for topic, channel in CHANNELS.items() if channel.latched)}
-        if "started_ns" in self.metadata and self.topics.keys() <= header:  # without a sample
+        if {
+            "started_ns",
+            "domain",
+        } <= self.metadata.keys() and self.topics.keys() <= header:  # without a sample
             where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
             return RecordingError(
                 f"Nothing was recorded into {self.path}: there was no publisher of {none} on "

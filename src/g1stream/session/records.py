@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from g1stream.types import Floats
 
 __all__ = [
+    "AttachedInfo",
     "BalanceSummary",
     "ClockStep",
     "FeedForwardChange",
@@ -198,6 +199,49 @@ class PolicyInfo(Record):
         if not ends or min(size for _, size in sizes) < 0:
             return {}
         return {name: slice(end - size, end) for (name, size), end in zip(sizes, ends, strict=True)}
+
+
+class AttachedInfo(Record):
+    """Where a motion was found in a session that was recorded without a reference.
+
+    Attributes:
+        by: what was compared with the motion: commands, arm commands, or measured joints, of which
+            a robot that is late cannot be told from a motion that began later.
+        start_s: when the motion's first frame was or would have been played, after the first sample
+            of what was compared.
+        speed: seconds of the motion in a second of the session.
+        first_s, last_s: the part of the motion that was played.
+        similarity: normalised cross-correlation of all joints' velocities in that part, up to 1.
+        rmse_rad: of the positions compared, without the mean error of each joint.
+        rival: similarity of the second best place in the motion; None where no other is similar.
+        play, plays: which time it is that the motion was played in the session, from 1, and how
+            often it was.
+        starts_s: when each of them began, as `start_s`.
+        heading_from: of the reference: imu, or none, where it is the motion's own.
+        place_from: of the reference: sportmodestate, or none, likewise.
+        moves: whether the measured pelvis went about as far as the motion's, which tells that the
+            robot was not held.
+    """
+
+    by: str = ""
+    start_s: float = 0.0
+    speed: float = 1.0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    similarity: float = 0.0
+    rmse_rad: float = 0.0
+    rival: float | None = None
+    play: Int = 1
+    plays: Int = 1
+    starts_s: list[float] = []
+    heading_from: str = "none"
+    place_from: str = "none"
+    moves: bool = False
+
+    @property
+    def by_robot(self) -> bool:
+        """Whether the robot told when the motion began, so that no delay of it is known."""
+        return self.by == "measured joints"
 
 
 class ClockStep(Record):

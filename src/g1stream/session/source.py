@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MemorySource", "SessionFiles", "SessionSource"]
+__all__ = ["ExtendedSource", "MemorySource", "SessionFiles", "SessionSource"]
 
 
 class SessionSource(ABC):
@@ -156,3 +156,30 @@ class MemorySource(SessionSource):
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
         return dict(self._attachments)
+
+
+class ExtendedSource(SessionSource):
+    """A session with messages, metadata and attachments that were added to it afterwards.
+
+    Args:
+        source: the session.
+        added: topics that the session does not have. Metadata and attachments replace those of the
+            same name.
+    """
+
+    def __init__(self, source: SessionSource, added: MemorySource) -> None:
+        super().__init__(source.path)
+        self._source, self._added = source, added
+        self.paths, self.complete, self.unread = source.paths, source.complete, source.unread
+        self.absent_parts = source.absent_parts
+        self.topics = source.topics | added.topics
+        self.metadata = source.metadata | added.metadata
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics: the session's, then those that were added."""
+        yield from self._source.batches(topics - self._added.topics.keys())
+        yield from self._added.batches(topics)
+
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name."""
+        return self._source.attachments() | self._added.attachments()

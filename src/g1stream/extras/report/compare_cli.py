@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, Command, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
+from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(Command):
+class Compare(SessionFlags):
     """Compares sessions of one motion, over the part of it that all of them played.
 
     With two or more sessions on each side it tells which differences are more than the noise from
@@ -71,9 +72,8 @@ class Compare(Command):
                 "Give two or more on each side.",
             )
         with showing_progress() as progress:
-            comparison = compare(
-                self.base, self.other, page=self.out, force=self.force, progress=progress
-            )
+            sides = ([self.open(path) for path in side] for side in (self.base, self.other))
+            comparison = compare(*sides, page=self.out, force=self.force, progress=progress)
         other, base = comparison.named()
         truths = [one.holds(other.get(one.name), base.get(one.name)) for one in conditions]
         failed = any(truth is not False for truth in truths)

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.command import EXIT_OK, print_json
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
+from g1stream.cli.session_flags import SessionFlags
 
 #: The page that is written if none is named.
 _PAGE: Final = Path("report.html")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Command):
+class Report(SessionFlags):
     """The page needs no network: what ran, tracking by joint and limb, body space, torque, what
     the motion asks of a robot, timing, events, and figures of every joint. A video or picture
     beside a session, of the same name, is shown in it.
@@ -47,14 +48,15 @@ class Report(Command):
             raise ConfigError(
                 "Two of --json, --csv and a page (--out) are asked for.", "Ask for one of them."
             )
+        sessions = [self.open(path) for path in self.sessions]
         if self.csv:
-            print(to_csv(self.sessions), end="")
+            print(to_csv(sessions), end="")
             return EXIT_OK
         with showing_progress() as progress:
             if self.json:
-                found = numbers(self.sessions, progress)
+                found = numbers(sessions, progress)
             else:
-                page = report(self.sessions, self.out or _PAGE, force=self.force, progress=progress)
+                page = report(sessions, self.out or _PAGE, force=self.force, progress=progress)
         if self.json:
             print_json(found)
         else:

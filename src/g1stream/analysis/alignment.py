@@ -1,0 +1,456 @@
+"""When a motion was played, found in recorded joint positions.
+
+The joints' velocities of the recording are compared with those of the motion: short windows of one
+with all windows of the other, by normalised cross-correlation. A play of the motion is a straight
+line in that table, as time in the motion goes on with time in the recording. Offset and speed of
+the line then follow from least squares on the joint positions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from g1stream.analysis.tracking import interpolated, rms
+from g1stream.session.streams import MAX_GAP_NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.motion.trajectory import Trajectory
+    from g1stream.types import Floats
+
+__all__ = ["Alignment", "Play", "find_plays"]
+
+#: Steps a second at which velocities are compared.
+_RATE: Final = 25
+#: Length of a window, s, and how many times it fits into a short motion at least.
+_WINDOW, _FEWEST_WINDOWS = 2.0, 2
+#: The most pairs of windows that are compared at one speed, and at each other speed that is tried.
+_PAIRS, _FEWER_PAIRS = 4_000_000, 400_000
+_BLOCK: Final = 4096
+#: Speeds that are tried where the motion was not played as it is: 0.25 to 4.
+_SPEEDS: Final = tuple(
+    sorted((1.1**i for i in range(-14, 15) if i), key=lambda speed: abs(np.log(speed)))
+)
+#: Velocities below these are rest: the root mean square over the joints, rad/s, and of one joint.
+_REST, _JOINT_RESTS = 0.05, 0.05
+#: Places in the table that are looked at more closely, and s between them.
+_CANDIDATES, _APART = 6, 0.5
+#: of the best place's score, from which on another is looked at.
+_WORTH: Final = 0.2
+#: Least squares: samples at most, the first time span on either side, s, steps for each span, and
+#: how much longer the next one is.
+_SAMPLES, _FIRST_SPAN, _STEPS, _GROWTH = 600, 2.0, 5, 1.6
+#: No speed is lower, or higher than its inverse.
+_SLOWEST: Final = 0.2
+#: A joint follows the motion where that explains so much of the variance of its position.
+_EXPLAINED: Final = 0.5
+#: A window at the place that was found follows where the correlation is above this.
+_FOLLOWS: Final = 0.5
+#: The least similarity of a play, by its length, s. Windows of other motions reach 0.9 for 3 s.
+_SECONDS, _SIMILAR = (0.0, 3.0, 6.0, 10.0), (1.0, 0.96, 0.85, 0.7)
+#: Another place in the motion is as good where it has this share of the best one's similarity.
+_RIVAL: Final = 0.9
+
+
+class Play(NamedTuple):
+    """One time that a motion was played.
+
+    Attributes:
+        start: s, when the motion's first frame was or would have been played, on the clock of the
+            recorded samples.
+        speed: seconds of the motion in a second of that clock.
+        first, last: s, the part of the motion that was played.
+        similarity: -1 to 1, the normalised cross-correlation of all joints' velocities in it.
+        rmse: rad, of the joints that follow, without the mean error of each.
+        joints: (29,) which joints follow.
+    """
+
+    start: float
+    speed: float
+    first: float
+    last: float
+    similarity: float
+    rmse: float
+    joints: NDArray[np.bool_]
+
+    @property
+    def seconds(self) -> float:
+        """How much of the motion was played, s of the motion."""
+        return self.last - self.first
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From when to when it was played, s on the clock of the samples."""
+        return self.start + self.first / self.speed, self.start + self.last / self.speed
+
+    @property
+    def explained(self) -> float:
+        """Similarity times length, s."""
+        return max(self.similarity, 0.0) * self.seconds
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where a motion is in a recording.
+
+    Attributes:
+        plays: of the motion, in order of time; empty where there is none.
+        rival: another place in the motion for the time of the best play; None where none is
+            similar. It is the best place of all where there is no play.
+        ambiguous: whether the rival is as good as the play.
+    """
+
+    plays: tuple[Play, ...]
+    rival: Play | None
+    ambiguous: bool
+
+
+def find_plays(times: Floats, q: Floats, trajectory: Trajectory) -> Alignment:
+    """Find each time that a motion was played.
+
+    Args:
+        times: (N,) s, rising.
+        q: (N, 29) rad, motor order: measured positions, or the targets of commands.
+        trajectory: the motion.
+    """
+    signal = _Signal(times, q)
+    found: list[Play] = []
+    for speeds, pairs in (((1.0,), _PAIRS), (_SPEEDS, _FEWER_PAIRS)):
+        places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
+        places.sort(key=lambda place: -place.score)
+        for place in places[:_CANDIDATES]:
+            if place.score < _WORTH * places[0].score:
+                break
+            play = _refined(signal, trajectory, place)
+            if play is not None and not any(_is_same(play, other) for other in found):
+                found.append(play)
+        # A short one may be by chance, and another speed explain more.
+        if any(
+            _is_play(play) and play.seconds > 0.5 * min(signal.moving, trajectory.duration)
+            for play in found
+        ):
+            break
+    found.sort(key=lambda play: -play.explained)
+    plays: list[Play] = []
+    rivals: list[Play] = []
+    for play in found:
+        overlaps = any(_overlap(play, other) for other in plays)
+        (plays if _is_play(play) and not overlaps else rivals).append(play)
+    best = plays[:1]
+    rivals = [one for one in rivals if not best or _overlap(one, best[0])]
+    rival = max(rivals, key=lambda one: one.explained, default=None)
+    ambiguous = bool(best and rival and rival.explained >= _RIVAL * best[0].explained)
+    return Alignment(tuple(sorted(plays)), rival, ambiguous)
+
+
+def _is_play(play: Play) -> bool:
+    seconds = play.seconds / play.speed
+    return bool(play.similarity >= np.interp(seconds, _SECONDS, _SIMILAR))
+
+
+def _is_same(one: Play, other: Play) -> bool:
+    return abs(one.start - other.start) < _APART and abs(one.speed / other.speed - 1.0) < 0.02
+
+
+def _overlap(one: Play, other: Play) -> bool:
+    (start, end), (other_start, other_end) = one.span, other.span
+    return min(end, other_end) - max(start, other_start) > 0.0
+
+
+class _Signal:
+    """Recorded joints.
+
+    Attributes:
+        times, q: as given.
+        grid: (T,) s, `_RATE` a second.
+        dq: (T, 29) rad/s at it.
+        known: (T,) whether samples are near.
+        moving: s in which the joints move.
+    """
+
+    def __init__(self, times: Floats, q: Floats) -> None:
+        self.times, self.q = times, q
+        self.grid = np.arange(times[0], times[-1], 1.0 / _RATE)
+        # The mean of each step, which has less noise than the sample at it.
+        edges = np.append(self.grid, self.grid[-1] + 1.0 / _RATE) - 0.5 / _RATE
+        steps = 0.5 * (q[1:] + q[:-1]) * np.diff(times)[:, np.newaxis]
+        total = np.vstack([np.zeros(q.shape[1]), np.cumsum(steps, axis=0)])
+        self.dq = _velocities(_RATE * np.diff(_extended(edges, times, total, q), axis=0))
+        after = np.searchsorted(times, self.grid).clip(1, len(times) - 1)
+        gap = times[after] - times[after - 1]
+        self.known = gap <= max(MAX_GAP_NS / 1e9, 3.0 * float(np.median(np.diff(times))))
+        self.dq[~self.known] = 0.0
+        moves = np.sqrt(np.square(self.dq).mean(axis=1)) > _REST
+        self.moving = float(moves.sum() / _RATE)
+
+
+def _extended(at: Floats, times: Floats, total: Floats, q: Floats) -> Floats:
+    """The integral (N, 29) of positions q (N, 29) at any times; outside of theirs they rest."""
+    found = interpolated(at, times, total)
+    found += np.minimum(at - times[0], 0.0)[:, np.newaxis] * q[0]
+    found += np.maximum(at - times[-1], 0.0)[:, np.newaxis] * q[-1]
+    return found
+
+
+def _velocities(q: Floats) -> Floats:
+    """(T, 29) rad/s of positions at the grid's rate; of both sides in the same way."""
+    dq: Floats = np.gradient(q, 1.0 / _RATE, axis=0)
+    return dq
+
+
+class _Place(NamedTuple):
+    """A line in the table of windows: `centre` s in the recording, where it is most similar."""
+
+    score: float
+    start: float
+    speed: float
+    centre: float
+
+
+def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) -> Iterator[_Place]:
+    """The best places of a motion at a speed, best first."""
+    step = speed / _RATE
+    at = np.arange(0.0, trajectory.duration + 0.5 * step, step)
+    length = round(_RATE * min(_WINDOW, trajectory.duration / speed / _FEWEST_WINDOWS))
+    if length < 2 or len(signal.grid) < 2 * length:
+        return
+    dq = _velocities(trajectory.sample_joints(at)[0])
+    moving = (rms(signal.dq) > _JOINT_RESTS) & (rms(dq) > 0.0)
+    if not moving.any() or len(dq) < length:
+        return
+    n_motion = len(dq) - length + 1
+    rows = _windows(signal, moving, length, max(8, most // n_motion))
+    if not len(rows):
+        return
+    ours = _normalised(signal.dq[:, moving], length, rows)
+    similar = np.empty((len(rows), n_motion), np.float32)
+    for first in range(0, n_motion, _BLOCK):
+        columns = np.arange(first, min(first + _BLOCK, n_motion))
+        similar[:, columns] = ours @ _normalised(dq[:, moving], length, columns).T
+    # Cubed, as many windows that are a little similar are worth less than one that is.
+    weight = np.clip(similar, 0.0, None) ** 3
+    lags = rows[:, np.newaxis] - np.arange(n_motion)
+    lowest = int(lags.min())
+    score = np.bincount((lags - lowest).ravel(), weight.ravel()) / len(rows)
+    apart = round(_APART * _RATE)
+    for _ in range(_CANDIDATES):
+        lag = int(score.argmax())
+        if score[lag] <= 0.0:
+            return
+        columns = rows - (lag + lowest)
+        inside = (columns >= 0) & (columns < n_motion)
+        line = np.where(inside, weight[np.arange(len(rows)), columns.clip(0, n_motion - 1)], -1.0)
+        row = int(rows[line.argmax()])
+        begins = float(signal.grid[0] + (lag + lowest) / _RATE)
+        centre = float(signal.grid[row] + 0.5 * length / _RATE)
+        yield _Place(float(score[lag]), begins, speed, centre)
+        score[max(0, lag - apart) : lag + apart + 1] = 0.0
+
+
+def _windows(
+    signal: _Signal, moving: NDArray[np.bool_], length: int, most: int
+) -> NDArray[np.intp]:
+    """The first rows of windows of the recording in which something moves, evenly spread."""
+    speed = np.sqrt(np.square(signal.dq[:, moving]).mean(axis=1))
+    total = np.concatenate([[0.0], np.cumsum(speed)])
+    known = np.concatenate([[0], np.cumsum(signal.known)])
+    starts = np.arange(len(speed) - length + 1)
+    moves = (total[starts + length] - total[starts]) / length > _REST
+    rows = starts[moves & (known[starts + length] - known[starts] == length)]
+    return np.asarray(rows[:: max(1, -(-len(rows) // most), length // 4)])
+
+
+def _normalised(dq: Floats, length: int, rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    """(R, length * J) the windows that begin at some rows, of norm 1, or 0 where nothing moves."""
+    windows = sliding_window_view(dq.astype(np.float32), length, axis=0)[rows]
+    flat = windows.reshape(len(rows), -1)
+    norm = np.linalg.norm(flat, axis=1, keepdims=True)
+    rest = norm < _REST * np.sqrt(flat.shape[1])
+    found: NDArray[np.float32] = np.where(rest, 0.0, flat / np.maximum(norm, 1e-9))
+    return found.astype(np.float32, copy=False)
+
+
+def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play | None:
+    """The play at a place, by least squares over a span that grows from where it is most similar.
+
+    The speed must only be so right at first that the span's ends are off by a fraction of a
+    movement; the longer the span, the more exactly it is known.
+    """
+    start, speed, span = place.start, place.speed, _FIRST_SPAN
+    joints = rms(signal.dq) > _JOINT_RESTS
+    whole = False
+    while not whole:
+        whole = span * speed > trajectory.duration
+        first = max(start, place.centre - span)
+        last = min(start + trajectory.duration / speed, place.centre + span)
+        for _ in range(_STEPS):
+            better = _least_squares(signal, trajectory, joints, (start, speed), (first, last))
+            if better is None:
+                return None
+            start, speed = better
+        if not _SLOWEST < speed < 1.0 / _SLOWEST:
+            return None
+        span *= _GROWTH
+    play = _measure(signal, trajectory, start, speed)
+    for _ in range(2):  # without what is not of the play
+        if play is None:
+            return None
+        better = _least_squares(signal, trajectory, play.joints, play[:2], play.span)
+        if better is None:
+            return None
+        play = _measure(signal, trajectory, *better)
+    return play
+
+
+def _least_squares(
+    signal: _Signal,
+    trajectory: Trajectory,
+    joints: NDArray[np.bool_],
+    place: tuple[float, float],
+    span: tuple[float, float],
+) -> tuple[float, float] | None:
+    """A better start and speed, by one step of Gauss and Newton; None where nothing tells.
+
+    Each joint has a mean error of its own. Samples that are far off count less (Cauchy's weights):
+    what is not of the motion must not move it.
+    """
+    start, speed = place
+    inside = slice(*np.searchsorted(signal.times, span))
+    rows = np.arange(inside.start, inside.stop)
+    rows = rows[:: max(1, len(rows) // _SAMPLES)]
+    if len(rows) < 10:
+        return None
+    times = signal.times[rows]
+    middle = 0.5 * (span[0] + span[1])
+    pos, slope = trajectory.sample_joints(speed * (times - start))
+    error = signal.q[rows] - pos
+    error -= np.median(error, axis=0)
+    size = np.sqrt(np.square(error[:, joints]).mean(axis=1))
+    scale = max(2.0 * float(np.median(size)), 1e-6)
+    weight = 1.0 / (1.0 + np.square(size / scale))
+    # The time in the motion at the middle of the span and the speed, which are independent.
+    away = (times - middle)[:, np.newaxis]
+    root = np.sqrt(weight)[:, np.newaxis]
+    by_time, by_speed, wanted = (
+        root * (values - np.average(values, axis=0, weights=weight))
+        for values in (slope[:, joints], slope[:, joints] * away, error[:, joints])
+    )
+    both = np.vdot(by_time, by_speed)
+    matrix = np.array([[np.vdot(by_time, by_time), both], [both, np.vdot(by_speed, by_speed)]])
+    if np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1]:
+        return None
+    ahead, faster = np.linalg.solve(matrix, [np.vdot(by_time, wanted), np.vdot(by_speed, wanted)])
+    in_motion = speed * (middle - start) + np.clip(ahead, -0.5, 0.5)
+    speed += float(np.clip(faster, -0.2 * speed, 0.2 * speed))
+    return float(middle - in_motion / speed), speed
+
+
+def _measure(signal: _Signal, trajectory: Trajectory, start: float, speed: float) -> Play | None:
+    """What of the motion was played at a place, and how similar it is."""
+    inside = (signal.grid >= start) & (signal.grid <= start + trajectory.duration / speed)
+    if inside.sum() < _RATE:
+        return None
+    at = speed * (signal.grid[inside] - start)
+    known = signal.known[inside]
+    ours = signal.dq[inside][known]
+    theirs = _velocities(trajectory.sample_joints(at)[0])[known]
+    at = at[known]
+    followed = _longest_following(ours, theirs, at)
+    if followed is None:
+        return None
+    ours, theirs, at = ours[followed], theirs[followed], at[followed]
+    joints = _following(ours, theirs)
+    similarity = (ours * theirs)[:, joints].sum() / np.sqrt(
+        np.square(ours[:, joints]).sum() * np.square(theirs[:, joints]).sum() + 1e-12
+    )
+    first, last = _ends(signal, trajectory, (start, speed), (at[0], at[-1]), joints)
+    error = _errors(signal, trajectory, (start, speed), (first, last))[:, joints]
+    if not len(error):
+        return None
+    rmse = float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))
+    return Play(start, speed, first, last, float(similarity), rmse, joints)
+
+
+def _longest_following(ours: Floats, theirs: Floats, at: Floats) -> slice | None:
+    """The rows in which velocities (T, 29) follow others: of all ranges the one with most."""
+    n = min(_RATE, len(at))
+    kernel = np.ones(n)
+
+    def around(values: Floats) -> Floats:
+        found: Floats = np.convolve(values.sum(axis=1), kernel, mode="same")
+        return found
+
+    product, own, other = around(ours * theirs), around(ours**2), around(theirs**2)
+    rest = _REST**2 * ours.shape[1] * n
+    similar = product / np.sqrt(own * other + 1e-12) - _FOLLOWS
+    gain = np.where((own < rest) & (other < rest), 0.0, similar) * np.diff(at, append=at[-1])
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    lowest = np.minimum.accumulate(total)
+    # Rest at either end belongs to the play, as nothing tells otherwise.
+    end = len(total) - 1 - int((total - lowest)[::-1].argmax())
+    begin = int(total[: end + 1].argmin())
+    return slice(begin, end) if end - begin >= _RATE // 2 else None
+
+
+def _following(ours: Floats, theirs: Floats) -> NDArray[np.bool_]:
+    """(29,) which velocities (T, 29) follow others; a joint that rests in both does, too."""
+    total, other = np.square(ours).sum(axis=0), np.square(theirs).sum(axis=0)
+    correlation = (ours * theirs).sum(axis=0) / np.sqrt(total * other + 1e-12)
+    rests = np.maximum(total, other) < _JOINT_RESTS**2 * len(ours)
+    return np.asarray(rests | (correlation > _EXPLAINED))
+
+
+def _errors(
+    signal: _Signal, trajectory: Trajectory, place: tuple[float, float], part: Sequence[float]
+) -> Floats:
+    """(N, 29) rad, the motion minus what was recorded, in a part of the motion, s."""
+    start, speed = place
+    span = start + np.asarray(part) / speed
+    rows = slice(*np.searchsorted(signal.times, span))
+    error: Floats = (
+        trajectory.sample_joints(speed * (signal.times[rows] - start))[0] - signal.q[rows]
+    )
+    return error
+
+
+def _ends(
+    signal: _Signal,
+    trajectory: Trajectory,
+    place: tuple[float, float],
+    part: tuple[float, float],
+    joints: NDArray[np.bool_],
+) -> tuple[float, float]:
+    """From where to where the motion was played, s of the motion.
+
+    The windows of the velocities know it to half a second. The positions know better: before a play
+    a robot comes from elsewhere, after it goes elsewhere.
+    """
+    start, speed = place
+    inner = _errors(signal, trajectory, place, part)[:, joints]
+    if not len(inner):
+        return part
+    middle = np.median(inner, axis=0)
+    size = np.sqrt(np.square(inner - middle).mean(axis=1))
+    most = 4.0 * float(np.quantile(size, 0.9)) + 0.01
+    wide = max(0.0, part[0] - speed), min(trajectory.duration, part[1] + speed)
+    span = start + np.asarray(wide) / speed
+    rows = slice(*np.searchsorted(signal.times, span))
+    at = speed * (signal.times[rows] - start)
+    error = _errors(signal, trajectory, place, wide)[:, joints] - middle
+    off = np.sqrt(np.square(error).mean(axis=1)) > most
+    half = 0.5 * (part[0] + part[1])
+    before, after = (
+        np.flatnonzero(off & (at < part[0] + speed)),
+        np.flatnonzero(off & (at > part[1] - speed)),
+    )
+    before, after = before[at[before] < half], after[at[after] > half]
+    first = at[before[-1] + 1] if len(before) and before[-1] + 1 < len(at) else at[0]
+    last = at[after[0] - 1] if len(after) and after[0] else at[-1]
+    return float(first), float(last)

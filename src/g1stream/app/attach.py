@@ -1,0 +1,94 @@
+"""Write a session with the motion that was found in it, and with what viewers show of it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from heapq import merge
+from itertools import repeat
+from mimetypes import guess_type
+from pathlib import Path
+from typing import Final
+
+from g1stream.app.session import Session
+from g1stream.dds.messages import Batch
+from g1stream.files import check_not_input, complete_file
+from g1stream.session.format import CHANNEL_OF
+from g1stream.session.writer import SessionWriter
+from g1stream.view.pipeline import MessagePipeline
+
+__all__ = ["write_attached"]
+
+#: Messages are encoded so many ns of log time at once.
+_ROUND: Final = 1_000_000_000
+_DDS_TOPICS: Final = {topic: name for name, topic in CHANNEL_OF.items()}
+_LOG: Final = "/log"
+
+
+def write_attached(
+    session: Session,
+    path: Path,
+    *,
+    force: bool = False,
+    progress: Callable[[str, float], None] = lambda what, fraction: None,
+) -> Path:
+    """Write a session with all channels, those for viewers made anew.
+
+    Samples are written byte for byte, with both their times. Topics that g1stream does not know are
+    left out.
+
+    Args:
+        session: as `Session.attach` gives it.
+        path: of the MCAP file; its directory must exist.
+        force: replace a file that is there.
+        progress: called with what is done and its share, 0 to 1.
+
+    Returns:
+        The path.
+
+    Raises:
+        RecordingError: the file cannot be written, or is one of the session's.
+        RobotError: the session's URDF cannot be used.
+    """
+    check_not_input(path, *session.paths)
+    robot = session.robot
+    pipeline = MessagePipeline(robot, policy=session.policy_info)
+    start = min(int(times.log_time.min()) for times in session.times.values() if len(times))
+    topics = [t for t in (*_DDS_TOPICS, _LOG) if session.topics.get(t)]
+    total, done = sum(session.topics[topic] for topic in topics), 0
+    with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
+        writer.add_metadata(session.metadata)
+        attachments = {"robot.urdf": robot.urdf.encode()} | session.attachments
+        for name, data in attachments.items():
+            writer.attach(name, guess_type(name)[0] or "application/octet-stream", data, start)
+        for messages in pipeline.file_header(start):
+            writer.write_batch(*messages)
+        for batches in _rounds(session, topics):
+            for topic, batch in batches.items():
+                writer.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
+                done += len(batch.data)
+            wire = {_DDS_TOPICS[topic]: one for topic, one in batches.items() if topic != _LOG}
+            for messages in pipeline.encode(wire):
+                writer.write_batch(*messages)
+            progress("written", done / total)
+        if pipeline.base:
+            writer.add_metadata({"measured_tf": pipeline.base.summary().model_dump(mode="json")})
+    return path
+
+
+def _rounds(session: Session, topics: list[str]) -> Iterator[Mapping[str, Batch]]:
+    """The messages of topics by topic, some time at once, in order of log time."""
+    streams = (zip(session.messages(topic), repeat(topic)) for topic in topics)
+    batches: dict[str, Batch] = defaultdict(Batch)
+    end = None
+    for message, topic in merge(*streams, key=lambda pair: pair[0].log_time):
+        if end is None or message.log_time >= end:
+            if batches:
+                yield batches
+            batches, end = defaultdict(Batch), message.log_time + _ROUND
+        batch = batches[topic]
+        batch.data.append(message.data)
+        batch.log_times.append(message.log_time)
+        batch.publish_times.append(message.publish_time)
+    if batches:
+        yield batches

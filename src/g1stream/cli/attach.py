@@ -1,0 +1,99 @@
+"""`g1stream attach`: the motion beside a session that was recorded without it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from g1stream.cli.command import EXIT_OK, print_json, print_lines
+from g1stream.cli.flags import argument, flag
+from g1stream.cli.motion_flags import MOTION, MotionFlags
+from g1stream.cli.progress import showing_progress
+from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from g1stream.session.records import AttachedInfo
+
+#: A second best place with less similarity than this is not worth a word.
+_WORTH_TELLING = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attach(MotionFlags):
+    """Finds when a motion was played in a session, whoever played and recorded it: by the commands
+    where they carry joint targets of it, else by the measured joints. From then on the session has
+    the reference: /tf, the ghost, the tracking error, and all that `report` says of them.
+
+    Reads sessions of `g1stream record` and bags of `ros2 bag record /lowstate /lowcmd` (MCAP; in
+    SQLite with the extra `ros2`), logs with joint states, and CSV logs with a column of time.
+
+    Without --out it only prints what it found. `report`, `plot`, `compare`, `info` and `render`
+    take --motion and need no file.
+
+    Examples:
+      g1stream attach robot.mcap dance.csv
+      g1stream attach robot.mcap dance.csv -o with-reference.mcap
+      g1stream report robot.mcap --motion dance.csv
+
+    Exit codes:
+      0  found, and written if asked for
+      2  bad input: not a session, another motion, or several places are as likely
+    """  # noqa: D205
+
+    session: Path = argument("The session, bag or log.", "SESSION")
+    reference: str = argument(MOTION, "MOTION")
+    out: Path | None = flag(None, "The session to write.", "OUT.mcap", aliases=("-o",))
+    play: int = flag(1, "Which time, where it was played several times.", "N", gt=0)
+    force: bool = flag(False, "Replace a file that is there.")
+    json: bool = flag(False, "Print what was found as JSON.")
+
+    def run(self) -> int:
+        """Find the motion, print where, write the session, and return the exit code."""
+        from g1stream.app.attach import write_attached
+        from g1stream.app.session import open_session
+        from g1stream.files import check_output_path, check_suffix
+
+        if self.out is not None:
+            check_suffix(self.out, "a session", ".mcap")
+            check_output_path(self.out, force=self.force)
+        if self.force and self.out is None:
+            raise ConfigError(
+                "The flag --force has no effect without --out.", "Add --out OUT.mcap."
+            )
+        session = open_session(self.session)
+        session = session.attach(self.load([self.reference]), play=self.play)
+        info = session.attached
+        assert info
+        if self.json:
+            print_json(info.model_dump(mode="json"))
+        else:
+            print_lines(_told(info))
+        if self.out is not None:
+            with showing_progress() as progress:
+                write_attached(session, self.out, force=self.force, progress=partial(progress))
+            if not self.json:
+                print(self.out)
+        return EXIT_OK
+
+
+def _told(info: AttachedInfo) -> str:
+    lines = [
+        f"played      {info.first_s:.2f} to {info.last_s:.2f} s of the motion, its first frame "
+        f"{info.start_s:.3f} s",
+        f"            after the first sample, at {info.speed:.4f} of its speed",
+        f"by          {info.by}: similarity {info.similarity:.3f}, RMS difference "
+        f"{info.rmse_rad:.4f} rad",
+    ]
+    if info.by_robot:
+        lines.append("            (a robot that is late cannot be told from a later start)")
+    if info.plays > 1:
+        starts = ", ".join(f"{one:.3f}" for one in info.starts_s)
+        lines.append(f"times       {info.plays}, from {starts} s on; this is number {info.play}")
+    if info.rival is not None and info.rival > _WORTH_TELLING:
+        lines.append(f"next best   another place in the motion: similarity {info.rival:.3f}")
+    heading = "of the IMU" if info.heading_from == "imu" else "of the motion (no IMU)"
+    place = "of SportModeState" if info.place_from == "sportmodestate" else "of the motion"
+    lines.append(f"reference   heading {heading}, place {place}, at its first sample")
+    return "\n".join(lines)

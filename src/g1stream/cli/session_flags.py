@@ -1,0 +1,44 @@
+"""The flag of the commands that show sessions: the motion that was played in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from g1stream.cli.command import Command
+from g1stream.cli.flags import flag
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from g1stream.app.session import Session
+
+__all__ = ["SessionFlags"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionFlags(Command):
+    """The flag of a command that shows sessions."""
+
+    motion: str | None = flag(
+        None,
+        "Motion that was played, for a session without a reference, such as one that another "
+        "program recorded; `attach` says how it is found.",
+        "MOTION",
+    )
+
+    def open(self, path: Path) -> Session:
+        """Open a session, with the motion attached if one is given and it has no reference.
+
+        Raises:
+            MotionError: the motion cannot be read.
+            RecordingError: it is no session, or the motion was not played in it.
+        """
+        from g1stream.app.session import open_session
+        from g1stream.motion.readers import load_motion
+        from g1stream.session.streams import ReferenceStream
+
+        session = open_session(path)
+        if self.motion is None or session.topics.get(ReferenceStream.topic):
+            return session
+        return session.attach(load_motion(self.motion))

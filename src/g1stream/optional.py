@@ -19,6 +19,7 @@ __all__ = [
 
 EXTENSIONS: Final = {
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",
+    "read_log": "g1stream.extras.ros2.bag_reader:BagSource",
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
     "render": "g1stream.extras.video.render:render",

@@ -144,7 +144,7 @@ def _find(session: Recording, trajectory: Trajectory) -> _Found:
         if not session.topics.get(kind.topic):
             continue
         stream = session.stream(kind)
-        if isinstance(stream, CommandStream) and not (stream.read("kp").kp > 0.0).any():
+        if isinstance(stream, CommandStream) and (stream.read("kp").kp == 0.0).all():
             continue  # torques without targets
         q = stream.read("q").q
         published = stream.published

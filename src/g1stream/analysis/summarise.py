@@ -140,6 +140,7 @@ def summarise(session: Recording) -> Summary:
         versions={**({"g1stream": info.g1stream} if info.g1stream else {}), **info.versions},
         motion=info.motion,
         attached=session.attached,
+        log=info.log,
         settings=None if info.config is None else _changed_settings(info.config),
         gains={name: (min(values), max(values)) for name, values in gains if values} or None,
         phases=session.phases,

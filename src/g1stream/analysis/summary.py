@@ -151,6 +151,7 @@ class Summary(Record):
         versions: of g1stream and the packages that it used.
         motion: what was played.
         attached: how it was found, where it was attached afterwards.
+        log: what was made of the log of another program; empty of a session.
         settings: those that are not the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
         joints: names of those that played the motion; None where that is not known.
@@ -181,6 +182,7 @@ class Summary(Record):
     versions: dict[str, str] = {}
     motion: MotionInfo | None = None
     attached: AttachedInfo | None = None
+    log: dict[str, str] = {}
     settings: dict[str, Any] | None = None
     gains: dict[str, tuple[float, float]] | None = None
     joints: list[str] | None = None
@@ -281,6 +283,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
     return _filled(
         ("session", _files(summary) if summary.files_bytes or recorder else ""),
         ("recorded", _recorded(summary) if summary.first_ns is not None else ""),
+        ("log", "; ".join(f"{name}: {text}" for name, text in summary.log.items())),
         ("motion", _motion(motion) if motion else ""),
         ("reference", _attached(summary.attached) if summary.attached else ""),
         ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),

@@ -13,8 +13,8 @@ from g1stream.files import complete_file, output_errors
 from g1stream.optional import extension, import_extra
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
+from g1stream.session.logs import open_source
 from g1stream.session.recording import Recording
-from g1stream.session.source import SessionFiles
 from g1stream.session.streams import STREAMS, PolicyStream
 from g1stream.session.writer import SessionWriter
 
@@ -39,15 +39,17 @@ _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 
 
 def open_session(path: str | os.PathLike[str]) -> Session:
-    """Open a session file, also one whose recorder was killed.
+    """Open a session file, also one whose recorder was killed; or what another program recorded.
 
     Args:
-        path: of a session file, or of the directory of a split recording.
+        path: of a session file, of the directory of a split recording, or of a log:
+            `docs/anyones-session.md` lists which.
 
     Raises:
+        ConfigError: the extra that reads it is not installed.
         RecordingError: there is no such file, or it is no session, or it is damaged.
     """
-    return Session(SessionFiles(Path(path)))
+    return Session(open_source(Path(path)))
 
 
 class Session(Recording):

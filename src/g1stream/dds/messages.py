@@ -406,7 +406,7 @@ class Samples:
 
 
 def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDArray[np.uint8]:
-    """(n, size) samples of a topic, as `Samples` reads them; checksums are 0.
+    """(n, size) samples of a topic, as `Samples` reads them, with their checksums.
 
     Args:
         topic: whose samples they are.
@@ -424,6 +424,10 @@ def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDA
             offsets = offsets[:N_JOINTS]
         octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
         rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
+    if "crc" in layout.fields:
+        crc, payloads = Crc(layout), rows[:, len(CDR_HEADER) :][:, : layout.size]
+        sums = np.array([crc.compute(row) for row in payloads], "<u4")
+        payloads[:, layout["crc"].offsets + np.arange(4)] = sums[:, np.newaxis].view(np.uint8)
     return rows
 
 

@@ -40,6 +40,7 @@ __all__ = [
     "FramePose",
     "JointAngles",
     "RecordedMotion",
+    "RecordedPoses",
     "RecordingFile",
     "motion_of_poses",
 ]
@@ -51,6 +52,7 @@ _PREFERRED: Final = ("/reference/joint_states", "/joint_states", "/measured/join
 #: Names of the pelvis's frame.
 _PELVIS: Final = ("pelvis", "base_link")
 _NS_PER_S: Final = 1_000_000_000
+_UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
 #: Of the two rows of times: the stamps in messages, and when they were published.
 _STAMPS, _PUBLISHED = 0, 1
 #: Times that differ by less are the same, s.
@@ -103,6 +105,25 @@ class RecordingFile(Protocol):
         """The messages of some topics, in batches of one topic; those of a topic are in order."""
 
 
+class RecordedPoses(NamedTuple):
+    """T joint states, with the pelvis at the same times.
+
+    Attributes:
+        times: (T,) ns since the epoch.
+        q: (T, 29) rad, motor order.
+        root_pos, root_quat_wxyz: (T, 3) m and (T, 4), in the frame above the pelvis.
+        pelvis_known: whether there were transforms of it; else it is upright at the origin.
+        warnings: what is worth knowing of the file.
+    """
+
+    times: Ints
+    q: Floats
+    root_pos: Floats
+    root_quat_wxyz: Floats
+    pelvis_known: bool
+    warnings: tuple[str, ...]
+
+
 class Decoders(NamedTuple):
     """What decodes messages, by type and encoding; for anything else they raise a ValueError."""
 
@@ -128,6 +149,11 @@ class RecordedMotion:
         self._unread = sum(file.unread for file in files)
         self._counts = sum((file.counts for file in files), Counter[str]())
 
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are joint states that can be read."""
+        return bool(self._joint_topics)
+
     @cached_property
     def evidence(self) -> Evidence:
         """What the motion is made of: the joints, their order, the pelvis."""
@@ -150,6 +176,22 @@ class RecordedMotion:
     def motion(self) -> Motion:
         """The motion of its joint states, and of the pelvis in its transforms.
 
+        Raises:
+            RecordingError: as of `poses`; or nothing moves, or a value is not one of a motion.
+            MotionError: joints are missing.
+        """
+        poses = self.poses()
+        motion = motion_of_poses(
+            (poses.times - poses.times[0]) / _NS_PER_S,
+            *(poses.q, poses.root_pos, poses.root_quat_wxyz),
+            self._path,
+            self._fps,
+        )
+        return replace(motion, warnings=(*motion.warnings, *poses.warnings))
+
+    def poses(self) -> RecordedPoses:
+        """Its joint states, and where the pelvis was in its transforms.
+
         Times are the stamps in the messages, or where those of the joint states do not rise or
         those of the transforms are not of the same time, all are those of publishing. Where a clock
         was set, the poses follow one another as if it had not been.
@@ -161,7 +203,7 @@ class RecordedMotion:
         """
         joints, pose, name = self._joints, self._pelvis, self._path.name
         q = joints.q
-        root_pos, quat = np.zeros((len(q), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
+        root_pos, quat = np.zeros((len(q), 3)), np.tile(_UPRIGHT, (len(q), 1))
         clock = next(one for one in (_STAMPS, _PUBLISHED) if one == _PUBLISHED or self._fits(one))
         steps = _clock_steps(joints.clocks[clock], q, self._path)
         times = without_steps(joints.clocks[clock], steps)
@@ -180,12 +222,10 @@ class RecordedMotion:
             root_pos, quat = pose.at(times, without_steps(pose.clocks[clock], steps))
             furthest = f"transform {int(np.argmax(np.abs(pose.norms - 1.0)))}"
             warnings += [f"{name}: {text}" for text in norm_warning(pose.norms, furthest)]
-        seconds = (times - times[0]) / _NS_PER_S
-        motion = motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
         if self._unread:
             lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"
             warnings.append(f"{lost}, and not read")
-        return replace(motion, warnings=(*motion.warnings, *warnings))
+        return RecordedPoses(times, q, root_pos, quat, pose is not None, tuple(warnings))
 
     def _fits(self, clock: int) -> bool:
         """Whether a clock rises with the joint states, and is that of the transforms, too.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from g1stream.session.records import PhaseInterval
     from g1stream.session.source import SessionSource
 
-__all__ = ["CONVERTED", "Message", "Recording", "once", "open_recording"]
+__all__ = ["CONVERTED", "Message", "Recording", "has_essentials", "once", "open_recording"]
 
 CONVERTED: Final = "/reference/joint_states"
 """What `convert` makes of a motion has its joints on this topic, and no samples of DDS."""
@@ -85,6 +85,11 @@ def once(make: Callable[[Recording], T]) -> Callable[[Recording], T]:
         return result
 
     return kept
+
+
+def has_essentials(topics: Mapping[str, int]) -> bool:
+    """Whether a session has one of the topics that it must have, by messages of each."""
+    return any(topics.get(topic) for topic in (*_ESSENTIAL, CONVERTED))
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:
@@ -137,7 +142,7 @@ class Recording:
         # Of a selection: what it is a part of, and the ranges of time (first, end), s.
         self._whole: Recording | None = None
         self._ranges: Sequence[tuple[float, float]] = ()
-        if not any(source.topics.get(topic) for topic in (*_ESSENTIAL, CONVERTED)):
+        if not has_essentials(source.topics):
             raise self._without_essentials()
 
     def __repr__(self) -> str:

@@ -257,6 +257,7 @@ class SessionInfo(Record):
     Attributes:
         g1stream: version that recorded it.
         versions: of the packages that it used.
+        log: what was made of the log of another program; empty of a session.
         host, domain, interface: where it was recorded.
         log_clock: that of the log times; of a rollout it begins with "simulated".
         clock_steps: when it was set while this was recorded, and by how much.
@@ -270,6 +271,7 @@ class SessionInfo(Record):
 
     g1stream: str | None = None
     versions: dict[str, str] = {}
+    log: dict[str, str] = {}
     host: str | None = None
     domain: Int | None = None
     interface: str | None = None

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.session.format import metadata_from_strings, metadata_to_strings
+from g1stream.session.format import CHANNELS, metadata_from_strings, metadata_to_strings
 from g1stream.session.mcap_reader import McapFile, Messages
 from g1stream.session.parts import parts_of
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["ExtendedSource", "MemorySource", "SessionFiles", "SessionSource"]
+__all__ = ["ExtendedSource", "MemorySource", "SessionFiles", "SessionSource", "session_topics"]
 
 
 class SessionSource(ABC):
@@ -71,6 +71,21 @@ class SessionSource(ABC):
         """
 
 
+def session_topics(counts: Mapping[str, int]) -> dict[str, str]:
+    """By topic of a session: the topic of a file that is the same, such as `/rt/lowstate`.
+
+    Args:
+        counts: messages by topic of the file. One that has none gives way to one that has some.
+    """
+    topics = {topic: topic for topic in counts}
+    for topic in sorted(counts, key=lambda one: counts[one]):
+        name = f"/{topic.removeprefix('/').removeprefix('rt/')}"
+        if name in CHANNELS and not counts.get(name):
+            topics.pop(topic)
+            topics[name] = topic
+    return topics
+
+
 class SessionFiles(SessionSource):
     """The files of a session, read as one.
 
@@ -95,14 +110,18 @@ class SessionFiles(SessionSource):
         self.absent_parts = {number: error.cause for number, error in errors.items()}
         self.paths = [file.path for file in self._files]
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
-        self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
+        counts = sum((file.counts for file in self._files), Counter[str]())
+        self._names = session_topics(counts)
+        self.topics = {topic: counts[name] for topic, name in self._names.items()}
         self.unread = sum(file.unread for file in self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, one batch per topic and chunk, in the order of the files."""
+        names = {self._names[topic]: topic for topic in topics if topic in self._names}
         for file in self._files:
-            yield from file.batches(topics)
+            for name, messages in file.batches(set(names)):
+                yield names[name], messages
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""

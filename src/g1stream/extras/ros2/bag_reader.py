@@ -27,6 +27,7 @@ from g1stream.session.recorded_motion import (
     RecordedMotion,
     RecordingFile,
 )
+from g1stream.session.source import SessionSource, session_topics
 
 #: Messages that are taken at once.
 _ROWS: Final = 100
@@ -39,6 +40,34 @@ def open_bag(file: MotionFile) -> RecordedMotion:
     in_mcap = begins_with(parts[0], b"\x89MCAP")
     files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(file.path)]
     return RecordedMotion(file, files, DECODERS)
+
+
+class BagSource(SessionSource):
+    """A bag in SQLite, or a compressed one, as a session.
+
+    Args:
+        path: of the file, or of the directory with metadata.yaml.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._bag = _Bag(path)
+        self._names = session_topics(self._bag.counts)
+        self.paths = [one for one in parts_of(path) if one.is_file()]
+        self.topics = {topic: self._bag.counts[name] for topic, name in self._names.items()}
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics; publish times are log times, which is all that it has."""
+        names = {self._names[topic]: topic for topic in topics if topic in self._names}
+        for name, messages in self._bag.batches(set(names)):
+            yield names[name], messages
+
+    def attachments(self) -> dict[str, bytes]:
+        """None: a bag has no files."""
+        return {}
 
 
 class _Bag:

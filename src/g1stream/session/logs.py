@@ -1,0 +1,271 @@
+"""What other programs recorded, as sessions: bags, logs of joint states, and logs in CSV.
+
+Samples of a bag are those of the wire. Of joint states and of CSV, samples of `/lowstate` are made,
+and where the log has targets, of `/lowcmd`. What the log does not have is 0, and gains are nan.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
+from g1stream.errors import RecordingError
+from g1stream.files import begins_with, read_file
+from g1stream.input_limits import UNPACKED
+from g1stream.motion.readers import MotionFile
+from g1stream.optional import extension
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.session.format import CHANNEL_OF
+from g1stream.session.motions import recorded_motion
+from g1stream.session.parts import parts_of
+from g1stream.session.recording import has_essentials
+from g1stream.session.source import MemorySource, SessionFiles
+from g1stream.text import counted
+from g1stream.types import Floats, Ints
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from g1stream.dds.messages import Topic
+    from g1stream.session.recorded_motion import RecordedMotion
+    from g1stream.session.source import SessionSource
+
+__all__ = ["open_source"]
+
+#: Time of a log whose times do not count from the epoch: 2000-01-01 00:00 UTC, ns.
+_EPOCH: Final = 946_684_800_000_000_000
+#: Lowest time since the epoch in each unit, and what makes ns of it: about 2001 on.
+_SINCE_EPOCH: Final = ((1e18, 1.0), (1e15, 1e3), (1e12, 1e6), (1e9, 1e9))
+#: Longest usual interval of a log in each unit, where its times count from elsewhere.
+_INTERVALS: Final = ((0.2, 1e9), (2e2, 1e6), (2e5, 1e3), (np.inf, 1.0))
+_UNITS: Final = {"s": 1e9, "sec": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+_TIME_WORDS: Final = {"t", "time", "timestamp", "stamp"}
+#: Words in names of columns, by quantity.
+_COMMAND: Final = {
+    *("cmd", "command", "target", "targets", "des", "desired", "ref", "reference", "action"),
+    *("act", "goal", "setpoint"),
+}
+_VELOCITY: Final = {"dq", "qd", "vel", "velocity", "qvel"}
+_TORQUE: Final = {"tau", "torque", "effort"}
+_POSITION: Final = {
+    *("q", "pos", "position", "joint", "joints", "angle", "qpos", "motor", "state", "body"),
+    *("measured", "actual", "dof"),
+}
+_AXES: Final = {
+    "quat": re.compile(r"(?:(?:base|imu|root|pelvis)_)?(?:q|quat|quaternion|rot)_?([wxyz])"),
+    "gyro": re.compile(
+        r"(?:(?:base|imu|root|pelvis)_)?(?:w|gyro|gyroscope|ang_vel|omega)_?([xyz])"
+    ),
+    "pos": re.compile(r"(?:base|root|pelvis)_(?:pos_|position_|p)?([xyz])"),
+}
+#: How files of bags begin that are no MCAP: SQLite, and compressed as a whole.
+_BAGS: Final = (b"SQLite format 3", b"\x28\xb5\x2f\xfd")
+#: Files of a directory with one quantity each, and the columns of it.
+_FILES: Final = ("q", "dq", "motor_torque", "action", "base_quat", "base_ang_vel")
+_JOINTS: Final = sorted(
+    ((name.removesuffix("_joint"), i) for i, name in enumerate(JOINT_NAMES)),
+    key=lambda one: -len(one[0]),
+)
+
+
+def open_source(path: Path) -> SessionSource:
+    """What a session is read from: a session, or what another program recorded.
+
+    Args:
+        path: of a session, a bag of ROS 2, an MCAP with joint states, a CSV log, or a directory of
+            CSV files with a quantity each.
+
+    Raises:
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is none of these, or damaged.
+    """
+    if path.suffix.lower() == ".csv" or (path / "q.csv").is_file():
+        return _csv_log(path)
+    first = parts_of(path)[0]
+    in_bag = any(begins_with(first, magic) for magic in _BAGS)
+    source: SessionSource = extension("read_log")(path) if in_bag else SessionFiles(path)
+    if has_essentials(source.topics):
+        return source
+    recorded = recorded_motion(MotionFile(path))
+    return _joint_log(path, recorded) if recorded and recorded.has_joints else source
+
+
+def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
+    """The joint states of a log, and the pelvis of its transforms, as samples of a robot."""
+    poses = recorded.poses()
+    log = MemorySource(str(path))
+    log.paths = parts_of(path)
+    values = {"q": poses.q}
+    if poses.pelvis_known:
+        values |= {"quat": poses.root_quat_wxyz, "pos": poses.root_pos}
+    used = recorded.evidence.used
+    _write(log, poses.times, values, {"made of": used["file"], "joint order": used["joint order"]})
+    return log
+
+
+class _Column(NamedTuple):
+    """What a column of a log is: the quantity, and which joint or axis of it."""
+
+    quantity: str
+    number: int
+
+
+def _csv_log(path: Path) -> MemorySource:
+    """The rows of a CSV file, or of a directory of them, as samples of a robot."""
+    files = [path]
+    if path.is_dir():
+        files = [one for name in _FILES if (one := path / f"{name}.csv").is_file()]
+    log = MemorySource(str(path))
+    log.paths = files
+    columns: dict[_Column, tuple[Ints, Floats]] = {}
+    told: dict[str, str] = {}
+    for file in files:
+        names, table = _read_table(file)
+        times, told["time"] = _times(names, table, file)
+        for name, values in zip(names, table.T, strict=True):
+            if column := _column(name, file.stem if path.is_dir() else ""):
+                columns.setdefault(column, (times, values))
+    joints = sorted(one.number for one in columns if one.quantity == "q")
+    if not joints:
+        raise RecordingError(
+            f"{path} has no column with the position of a joint.",
+            f"Name columns by joint, such as q.{JOINT_NAMES[3]}, or q_0 to q_28 in motor order.",
+        )
+    times = columns[_Column("q", joints[0])][0]
+    values = {}
+    for quantity, size in _SIZES.items():
+        found = {one.number: columns[one] for one in columns if one.quantity == quantity}
+        if found and (size == N_JOINTS or len(found) == size):
+            values[quantity] = np.zeros((len(times), size))
+            for number, (own, samples) in found.items():
+                values[quantity][:, number] = np.interp(times, own, samples)
+    missing = [name for i, name in enumerate(JOINT_NAMES) if i not in joints]
+    told["made of"] = f"CSV, {', '.join(values)} in {counted(len(times), 'row')}"
+    _write(log, times, values, told, missing)
+    return log
+
+
+#: Values of each quantity: joints, the attitude wxyz, and vectors.
+_SIZES: Final = {
+    "q": N_JOINTS,
+    "dq": N_JOINTS,
+    "tau": N_JOINTS,
+    "command": N_JOINTS,
+    "quat": 4,
+    "gyro": 3,
+    "pos": 3,
+}
+
+
+def _write(
+    log: MemorySource,
+    times: Ints,
+    values: Mapping[str, Floats],
+    told: Mapping[str, str],
+    missing: Sequence[str] = (),
+) -> None:
+    """Write samples (N, ...) by quantity at times (N,) ns, and what was made of the log."""
+    state = {
+        "motor_state.q": values["q"],
+        "motor_state.dq": values.get("dq"),
+        "motor_state.tau_est": values.get("tau"),
+        "imu_state.quaternion": values.get("quat"),
+        "imu_state.gyroscope": values.get("gyro"),
+    }
+    samples: dict[Topic, dict[str, Floats | None]] = {LOWSTATE: state}
+    if "command" in values:
+        gains = np.full((len(times), N_JOINTS), np.nan)
+        samples[LOWCMD] = {
+            "motor_cmd.q": values["command"],
+            "motor_cmd.kp": gains,
+            "motor_cmd.kd": gains,
+        }
+    if "pos" in values:
+        samples[SPORTMODESTATE] = {"position": values["pos"]}
+    for topic, fields in samples.items():
+        known = {name: one for name, one in fields.items() if one is not None}
+        data = encode_samples(topic, known, len(times))
+        log.write_batch(CHANNEL_OF[topic.name], data, times, times)
+    log.add_metadata({"log": told, **({"absent": missing} if missing else {})})
+
+
+def _read_table(file: Path) -> tuple[list[str], Floats]:
+    """The names of the columns, and the rows (N, C)."""
+    try:
+        text = read_file(file, UNPACKED).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise RecordingError(f"{file} is not text.", "Give a CSV file in UTF-8.") from None
+    except OSError as error:
+        raise RecordingError(f"{file} cannot be read: {error.strerror}.", "Check it.") from error
+    header, _, rows = text.partition("\n")
+    names = [name.strip().strip("\"'") for name in header.split(",")]
+    try:
+        table = np.loadtxt(rows.splitlines(), delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise RecordingError(
+            f"{file} is no table of numbers: {error}.",
+            "Give a CSV log with a header line, and a number in each cell.",
+        ) from error
+    if len(table) < 2 or table.shape[1] != len(names):
+        raise RecordingError(
+            f"{file} has {counted(len(table), 'row')} of {table.shape[1]} values, and "
+            f"{counted(len(names), 'column')} named.",
+            "Give a CSV log with a header line, and a value for each name in each row.",
+        )
+    return names, table
+
+
+def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
+    """Times (N,) of the rows, ns since the epoch, and what they were made of."""
+    for name, values in zip(names, table.T, strict=True):
+        words = _words(name)
+        if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():
+            continue
+        since = next((factor for least, factor in _SINCE_EPOCH if values[0] >= least), None)
+        unit = next((_UNITS[word] for word in reversed(words) if word in _UNITS), None)
+        usual = float(np.median(np.diff(values)))
+        factor = since or unit or next(one for most, one in _INTERVALS if usual <= most)
+        assumed = "" if unit else ", unit assumed by its size"
+        assumed += "" if since else ", counted from 2000-01-01 UTC"
+        start = round(values[0] * factor) if since else _EPOCH
+        times = start + np.round((values - values[0]) * factor).astype(np.int64)
+        if (np.diff(times) > 0).all():
+            return times, f"column {name}, in units of {factor:g} ns{assumed}"
+    raise RecordingError(
+        f"{file} has no column of rising times.",
+        "Name one time_s, time_ms or timestamp_ns; a motion without times is no log.",
+    )
+
+
+def _column(name: str, of: str) -> _Column | None:
+    """What a column is, by its name and, in a directory, by the name `of` its file."""
+    words = _words(name)
+    text = "_".join(words)
+    for quantity, pattern in _AXES.items():
+        if found := pattern.fullmatch(text):
+            axes = "wxyz" if quantity == "quat" else "xyz"
+            return _Column(quantity, axes.index(found[1]))
+    joint = next(((joint, i) for joint, i in _JOINTS if joint in text), None)
+    if joint:
+        index, rest = joint[1], text.replace(joint[0], "")
+    elif found := re.fullmatch(r"(.*?)_?(\d+)", text):
+        index, rest = int(found[2]), found[1]
+    else:
+        return None
+    about = {*rest.split("_"), *of.split("_")} - {"", "motor"}
+    if index >= N_JOINTS or (not joint and not about):
+        return None
+    unknown = about - _COMMAND - _VELOCITY - _TORQUE - _POSITION
+    command, velocity, torque = (bool(about & one) for one in (_COMMAND, _VELOCITY, _TORQUE))
+    if unknown or (command and (velocity or torque)) or (velocity and torque):
+        return None
+    quantity = "command" if command else "dq" if velocity else "tau" if torque else "q"
+    return _Column(quantity, index)
+
+
+def _words(name: str) -> list[str]:
+    return [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word]

@@ -57,7 +57,7 @@ COMMANDS: Final = {
         "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
         "attach": (
             "cli.attach:Attach",
-            "Find a motion in a session recorded without it, and add the reference.",
+            "Find when a motion was played in a session without a reference.",
         ),
         "report": (
             "extras.report.report_cli:Report",

@@ -53,7 +53,7 @@ _VELOCITY: Final = {"dq", "qd", "vel", "velocity", "qvel"}
 _TORQUE: Final = {"tau", "torque", "effort"}
 _POSITION: Final = {
     *("q", "pos", "position", "joint", "joints", "angle", "qpos", "motor", "state", "body"),
-    *("measured", "actual", "dof"),
+    *("measured", "actual", "dof", "est", "estimated"),
 }
 _AXES: Final = {
     "quat": re.compile(r"(?:(?:base|imu|root|pelvis)_)?(?:q|quat|quaternion|rot)_?([wxyz])"),

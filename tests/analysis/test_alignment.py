@@ -1,0 +1,123 @@
+"""Where a motion is in recorded joints: against times, speeds and parts that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.analysis.alignment import find_plays
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+
+RATE = 100.0
+
+
+def wandering(seed: int, seconds: float = 40.0) -> Motion:
+    """A motion of all joints that never repeats: sums of sines of unrelated frequencies."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(int(seconds * 30) + 1)[:, np.newaxis, np.newaxis] / 30.0
+    hertz, phase = rng.uniform(0.1, 1.5, (4, 29)), rng.uniform(0.0, 2.0 * np.pi, (4, 29))
+    size = rng.uniform(0.02, 0.15, (4, 29))
+    q = (size * np.sin(2.0 * np.pi * hertz * time + phase)).sum(axis=1)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
+    place = np.tile([0.0, 0.0, 0.8], (len(q), 1))
+    return Motion(f"wandering{seed}", 30.0, q, place, upright)
+
+
+MOTION = Trajectory(wandering(1))
+OTHER = Trajectory(wandering(2))
+
+
+def played(start, speed=1.0, part=(0.0, 40.0), seconds=60.0, trajectory=MOTION):
+    """Times and joints of a recording: before the part 1 s of a way to it, after it rest."""
+    times = np.arange(0.0, seconds, 1.0 / RATE)
+    at = speed * (times - start)
+    q = trajectory.sample_joints(at.clip(*part))[0]
+    away = np.clip(part[0] - at, 0.0, 1.0)[:, np.newaxis]
+    return times, q + 0.5 * away
+
+
+def only(alignment):
+    assert len(alignment.plays) == 1
+    assert not alignment.ambiguous
+    return alignment.plays[0]
+
+
+@pytest.mark.parametrize(
+    ("start", "speed", "part"),
+    [
+        (7.31, 1.0, (0.0, 40.0)),
+        (-20.0, 1.0, (22.5, 33.0)),  # began before the recording would have
+        (4.0, 0.9, (0.0, 40.0)),
+        (4.0, 0.5, (3.0, 25.0)),
+        (4.0, 1.3, (0.0, 40.0)),
+        (4.0, 3.0, (0.0, 40.0)),
+    ],
+)
+def test_start_speed_and_part_are_found(start, speed, part):
+    play = only(find_plays(*played(start, speed, part), MOTION))
+    assert play.start == pytest.approx(start, abs=1e-3)
+    assert play.speed == pytest.approx(speed, rel=1e-3)
+    assert play.first == pytest.approx(part[0], abs=0.1)
+    assert play.last == pytest.approx(part[1], abs=0.1 if part[1] < 40.0 else 0.02)
+    assert play.similarity > 0.98
+    assert play.joints.all()
+
+
+def test_noise_jitter_and_a_missing_tenth_leave_the_time_exact():
+    rng = np.random.default_rng(3)
+    times, q = played(7.0)
+    kept = (times < 20.0) | (times > 24.0)
+    times = np.sort(times + rng.uniform(-5e-3, 5e-3, len(times)))[kept]
+    q = q[kept] + rng.normal(0.0, 5e-3, (kept.sum(), 29))
+    play = only(find_plays(times, q, MOTION))
+    assert play.start == pytest.approx(7.0, abs=2e-3)
+    assert play.speed == pytest.approx(1.0, rel=1e-3)
+    assert (play.first, play.last) == pytest.approx((0.0, 40.0), abs=0.1)
+
+
+def test_two_plays_are_found_in_their_order():
+    times, q = played(5.0, part=(0.0, 20.0), seconds=70.0)
+    _, later = played(30.0, part=(0.0, 40.0), seconds=70.0)
+    q = np.where((times > 28.0)[:, np.newaxis], later, q)
+    plays = find_plays(times, q, MOTION).plays
+    assert [round(play.start, 3) for play in plays] == [5.0, 30.0]
+    assert [play.last for play in plays] == pytest.approx([20.0, 40.0], abs=0.1)
+
+
+def test_joints_that_rest_though_the_motion_moves_them_do_not_follow():
+    times, q = played(7.0)
+    q[:, :15] = 0.1
+    play = only(find_plays(times, q, MOTION))
+    assert play.start == pytest.approx(7.0, abs=1e-3)
+    assert play.joints.tolist() == [False] * 15 + [True] * 14
+
+
+def test_the_error_is_that_of_the_positions_without_their_mean():
+    times, q = played(7.0)
+    q += 0.1 + 0.03 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 5.0 * times)[:, np.newaxis]
+    play = only(find_plays(times, q, MOTION))
+    assert play.rmse == pytest.approx(0.03, rel=0.02)
+
+
+@pytest.mark.parametrize("seconds", [5.0, 12.0, 40.0])
+def test_another_motion_is_not_found(seconds):
+    for start in {0.0, (40.0 - seconds) / 2.0}:
+        recorded = played(3.0 - start, 1.0, (start, start + seconds), seconds + 6.0, OTHER)
+        assert find_plays(*recorded, MOTION).plays == ()
+
+
+def test_a_part_of_a_motion_that_repeats_itself_is_ambiguous():
+    frames = np.arange(1200) % 240  # 8 s, five times
+    motion = wandering(4)
+    q = motion.joint_pos[frames]
+    trajectory = Trajectory(
+        Motion("again", 30.0, q, motion.root_pos[frames], motion.root_quat_wxyz[frames])
+    )
+    assert find_plays(*played(3.0, 1.0, (8.0, 20.0), 30.0, trajectory), trajectory).ambiguous
+
+
+def test_rest_tells_nothing():
+    times = np.arange(0.0, 20.0, 1.0 / RATE)
+    alignment = find_plays(times, np.zeros((len(times), 29)), MOTION)
+    assert (alignment.plays, alignment.rival) == ((), None)

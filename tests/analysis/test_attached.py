@@ -1,0 +1,203 @@
+"""Sessions without a reference get one: ours with it removed, and those of others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.app.attach import write_attached
+from g1stream.app.session import Session
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, encode_samples
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.rotations import quat_from_yaw, quat_mul, yaw_of
+from g1stream.session.source import MemorySource
+from g1stream.types import Phase
+
+T0 = 1_700_000_000_000_000_000
+LATENCY = 100_000
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """25 s of all joints, walking 2 m and turning."""
+    rng = np.random.default_rng(5)
+    time = np.arange(751)[:, np.newaxis, np.newaxis] / 30.0
+    angle = 2.0 * np.pi * rng.uniform(0.1, 1.2, (3, 29)) * time
+    q = (0.1 * np.sin(angle + rng.uniform(0.0, 6.0, (3, 29)))).sum(axis=1)
+    seconds = time[:, 0, 0]
+    place = np.column_stack([0.08 * seconds, np.zeros(751), np.full(751, 0.78)])
+    return Motion("made", 30.0, q, place, quat_from_yaw(0.3 + 0.02 * seconds))
+
+
+@pytest.fixture(scope="module")
+def strangers(motion):
+    """Writes what a controller of somebody else and a recorder leave; the robot is late.
+
+    The world is turned by 0.7 rad and elsewhere; the motion's first frame is 4 s after the first
+    message.
+    """
+
+    def write(*topics, late=0.015, speed=1.0, targets=1.0, twice=False):
+        trajectory, seconds = Trajectory(motion), 55.0 if twice else 32.0
+        times = np.arange(0.0, seconds, 0.005)
+
+        def at(when):
+            begun = np.where(when > 30.0, when - 30.0, when) if twice else when
+            return trajectory.sample_many((speed * (begun - 4.0)).clip(0.0))
+
+        asked, done = at(times), at(times - late)
+        n, turn = len(times), quat_from_yaw(0.7)
+        yawed = quat_mul(turn, done.root_quat_wxyz)
+        samples = {
+            LOWCMD: {
+                "motor_cmd.q": targets * asked.joint_pos,
+                "motor_cmd.kp": np.full((n, 29), 40.0),
+            },
+            LOWSTATE: {
+                "motor_state.q": done.joint_pos,
+                "motor_state.dq": speed * done.joint_vel,
+                "imu_state.quaternion": yawed,
+            },
+            SPORTMODESTATE: {"position": done.root_pos @ turned(0.7).T + (3.0, -2.0, 0.0)},
+        }
+        source = MemorySource("stranger")
+        stamps = T0 + np.round(times * 1e9).astype(np.int64)
+        for topic in topics:
+            data = encode_samples(topic, samples[topic], n)
+            name = topic.name.replace("rt/", "/")
+            source.write_batch(name, data, stamps + LATENCY, stamps)
+        return Session(source)
+
+    return write
+
+
+def turned(yaw):
+    return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+
+
+def start_of(session):
+    """When the motion's first frame was, s after the first message."""
+    return (session.start_ns - T0) / 1e9
+
+
+def test_commands_tell_when_the_motion_began_and_the_robot_how_late_it_is(strangers, motion):
+    session = strangers(LOWCMD, LOWSTATE).attach(motion)
+    assert session.attached.by == "commands"
+    assert start_of(session) == pytest.approx(4.0, abs=1e-3)
+    assert session.tracking().delay.seconds == pytest.approx(0.015, abs=1e-3)
+    assert session.summary().tracking.compared_s == pytest.approx(25.0, abs=0.05)
+    assert session.summary().problems == []
+
+
+def test_by_the_robot_alone_its_lag_is_part_of_the_start_and_no_delay_is_told(strangers, motion):
+    session = strangers(LOWSTATE).attach(motion)
+    assert session.attached.by_robot
+    assert start_of(session) == pytest.approx(4.015, abs=2e-3)
+    assert session.tracking().overall < 2e-3
+    assert "not known" in str(session.summary())
+
+
+def test_targets_that_are_there_for_their_torque_do_not_tell(strangers, motion):
+    session = strangers(LOWCMD, LOWSTATE, targets=1.6).attach(motion)
+    assert session.attached.by_robot
+    assert start_of(session) == pytest.approx(4.015, abs=2e-3)
+
+
+def test_references_are_the_motion_at_its_speed_where_the_pelvis_was(strangers, motion):
+    session = strangers(LOWCMD, LOWSTATE, SPORTMODESTATE, late=0.0, speed=0.9).attach(motion)
+    reference, info = session.reference, session.attached
+    assert info.speed == pytest.approx(0.9, rel=1e-3)
+    assert set(reference.phase) == {Phase.PLAY}
+    point = Trajectory(motion).sample_many(reference.motion_time)
+    np.testing.assert_allclose(reference.q, point.joint_pos, atol=1e-6)
+    np.testing.assert_allclose(reference.dq, 0.9 * point.joint_vel, atol=2e-3)
+    np.testing.assert_allclose(reference.time, reference.motion_time / info.speed, atol=1e-6)
+    assert (info.heading_from, info.place_from, info.moves) == ("imu", "sportmodestate", True)
+    base = session.base
+    for axis in range(3):
+        measured = np.interp(reference.time, base.time, base.position[:, axis])
+        np.testing.assert_allclose(reference.root_pos[:, axis], measured, atol=5e-3)
+    yaw = yaw_of(reference.root_quat_wxyz)
+    measured = np.interp(
+        reference.time, session.measured.time, yaw_of(session.measured.imu_quat_wxyz)
+    )
+    np.testing.assert_allclose(yaw, measured, atol=5e-3)
+    assert session.metrics().body.world.mpjpe_mm < 10.0
+
+
+def test_a_second_play_is_another_session(strangers, motion):
+    session = strangers(LOWCMD, LOWSTATE, twice=True)
+    first, second = session.attach(motion), session.attach(motion, play=2)
+    assert (first.attached.plays, second.attached.play) == (2, 2)
+    assert [start_of(first), start_of(second)] == pytest.approx([4.0, 34.0], abs=1e-3)
+    with pytest.raises(ConfigError, match="2 times"):
+        session.attach(motion, play=3)
+
+
+def test_joints_that_are_stuck_count_and_joints_that_were_not_commanded_do_not(strangers, motion):
+    source = strangers(LOWCMD, LOWSTATE).source
+    state, command = (next(source.batches({topic}))[1] for topic in ("/lowstate", "/lowcmd"))
+    stuck, still = MemorySource("stuck"), MemorySource("still")
+    q = g1stream.Samples(LOWSTATE, state.data)["motor_state.q"]
+    q[:, 3] = 0.2
+    data = encode_samples(LOWSTATE, {"motor_state.q": q}, len(q))
+    stuck.write_batch("/lowstate", data, state.log_times, state.publish_times)
+    session = Session(stuck).attach(motion)
+    assert len(session.tracking().joints) == 29
+    assert session.tracking().worst_joint == "left_knee_joint"
+    targets = g1stream.Samples(LOWCMD, command.data)["motor_cmd.q"]
+    targets[:, :15] = 0.0
+    gains = np.full(targets.shape, 40.0)
+    data = encode_samples(LOWCMD, {"motor_cmd.q": targets, "motor_cmd.kp": gains}, len(q))
+    still.write_batch("/lowcmd", data, command.log_times, command.publish_times)
+    still.write_batch("/lowstate", state.data, state.log_times, state.publish_times)
+    assert Session(still).attach(motion).tracking().joints == tuple(range(15, 29))
+
+
+def test_our_own_rollout_gets_its_reference_back(tmp_path):
+    whole = g1stream.rollout("demo", seconds=8.0)
+    for dropped, most in ((set(), 1e-3), ({"/lowcmd"}, 5e-3)):
+        source = MemorySource("without")
+        for topic in whole.topics.keys() - {"/reference"} - dropped:
+            for message in whole.messages(topic):
+                source.write(topic, message.data, message.log_time, message.publish_time)
+        source.add_metadata(whole.metadata)
+        session = Session(source).attach(g1stream.load_motion("demo"))
+        assert session.start_ns == pytest.approx(whole.start_ns, abs=most * 1e9)
+        assert session.attached.speed == pytest.approx(1.0, rel=1e-3)
+        assert session.tracking().overall == pytest.approx(whole.tracking().overall, rel=0.1)
+
+
+def test_what_is_written_has_all_that_a_session_has(strangers, motion, tmp_path):
+    attached = strangers(LOWCMD, LOWSTATE, SPORTMODESTATE).attach(motion)
+    path = write_attached(attached, tmp_path / "attached.mcap")
+    session = g1stream.open_session(path)
+    assert session.attached == attached.attached
+    for topic in ("/lowcmd", "/lowstate", "/sportmodestate", "/reference"):
+        assert [*session.messages(topic)] == [*attached.messages(topic)]
+    shown = {"/tf", "/ghost/tf", "/measured/tf", "/reference/joint_states", "/ghost/scene"}
+    assert shown | {"/tracking_error/joint_states"} <= session.topics.keys()
+    assert session.topics["/tf"] == pytest.approx(2500, abs=5)  # 100 a second of the motion
+    assert session.tracking().overall == attached.tracking().overall
+    assert session.metadata["measured_tf"]["yaw_offset_rad"] == pytest.approx(0.0, abs=1e-3)
+    with pytest.raises(RecordingError, match="attached"):
+        write_attached(attached, path)
+
+
+def test_refusals(strangers, motion):
+    session = strangers(LOWCMD, LOWSTATE)
+    with pytest.raises(RecordingError, match="has a reference"):
+        session.attach(motion).attach(motion)
+    backwards = replace(motion, joint_pos=motion.joint_pos[::-1])
+    with pytest.raises(RecordingError, match="was not played"):
+        session.attach(backwards)
+    only_references = MemorySource("none")
+    data = encode_samples(REFERENCE, {"q": np.zeros((3, 29))}, 3)
+    only_references.write_batch("/reference", data, T0 + np.arange(3), T0 + np.arange(3))
+    with pytest.raises(RecordingError):
+        Session(only_references).attach(motion)

@@ -1,0 +1,152 @@
+"""Logs of other programs as sessions: CSV of several kinds, and Foxglove's joint states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from mcap_protobuf.writer import Writer
+
+import g1stream
+from g1stream.errors import RecordingError
+from g1stream.robot.joints import JOINT_NAMES
+
+RATE = 50
+TIME = np.arange(200) / RATE
+Q = 0.3 * np.sin(TIME[:, np.newaxis] + np.arange(29))
+DQ = 0.3 * np.cos(TIME[:, np.newaxis] + np.arange(29))
+TARGETS = Q + 0.05
+QUAT = np.stack([np.cos(0.1 * TIME), 0 * TIME, 0 * TIME, np.sin(0.1 * TIME)], axis=1)
+EPOCH = 1_700_000_000
+
+
+def write_csv(path, columns):
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, "%.12g", delimiter=",", comments="", header=",".join(columns))
+    return path
+
+
+def named(pattern, values):
+    return {pattern.format(name): values[:, i] for i, name in enumerate(JOINT_NAMES)}
+
+
+def seconds(stream):
+    return (stream.publish_time - stream.publish_time[0]) / 1e9
+
+
+def test_columns_are_told_by_the_words_in_their_names(tmp_path):
+    columns = {
+        "time": TIME,
+        **named("{}.q", Q),
+        **named("{}_vel", DQ),
+        **named("tau_est/{}", 2 * Q),
+        **named("target_pos[{}]", TARGETS),
+        **{f"imu_quat_{axis}": QUAT[:, i] for i, axis in enumerate("wxyz")},
+        "voltage": TIME,
+    }
+    session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
+    measured = session.measured
+    for found, expected in (
+        (measured.q, Q),
+        (measured.dq, DQ),
+        (measured.tau, 2 * Q),
+        (session.command.q, TARGETS),
+        (measured.imu_quat_wxyz, QUAT),
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert "unit assumed" in session.metadata["log"]["time"]
+    assert session.summary().problems == []
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "start"),
+    [
+        ("time", 1, 0.0),
+        ("t", 1e3, 5.0),  # ms, by its size
+        ("time_ms", 1e3, 0.0),
+        ("timestamp_us", 1e6, 3.0),
+        ("stamp_ns", 1e9, 0.0),
+        ("timestamp", 1, EPOCH),
+        ("timestamp", 1e9, EPOCH),
+    ],
+)
+def test_times_are_read_in_their_unit(tmp_path, name, factor, start):
+    columns = {name: np.round((start + TIME) * factor, 3), **named("{}", Q)}
+    np.savetxt(
+        tmp_path / "log.csv",
+        np.column_stack(list(columns.values())),
+        ["%.3f", *["%.9g"] * 29],
+        delimiter=",",
+        comments="",
+        header=",".join(columns),
+    )
+    measured = g1stream.open_session(tmp_path / "log.csv").measured
+    np.testing.assert_allclose(seconds(measured), TIME, atol=2e-6)
+    if start == EPOCH:
+        assert measured.publish_time[0] == EPOCH * 10**9
+
+
+def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
+    """As the deployment of SONIC writes them."""
+    stamps = {"index": np.arange(200), "time_ms": TIME * 1e3, "ros_timestamp": 0 * TIME}
+    for name, short, values in (("q", "q", Q), ("dq", "dq", DQ), ("action", "act", TARGETS)):
+        columns = {f"{short}_{i}": values[:, i] for i in range(29)}
+        write_csv(tmp_path / f"{name}.csv", stamps | columns)
+    columns = {f"base_q{axis}": QUAT[:, i] for i, axis in enumerate("wxyz")}
+    write_csv(tmp_path / "base_quat.csv", stamps | columns)
+    session = g1stream.open_session(tmp_path)
+    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
+    np.testing.assert_allclose(session.measured.dq, DQ, atol=1e-6)
+    np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
+    np.testing.assert_allclose(session.measured.imu_quat_wxyz, QUAT, atol=1e-6)
+    np.testing.assert_allclose(seconds(session.measured), TIME, atol=1e-6)
+
+
+def test_joints_that_a_log_lacks_are_absent(tmp_path):
+    columns = {"time": TIME} | {n: v for n, v in named("{}", Q).items() if "wrist_yaw" not in n}
+    summary = g1stream.open_session(write_csv(tmp_path / "log.csv", columns)).summary()
+    assert summary.absent == ["left_wrist_yaw_joint", "right_wrist_yaw_joint"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        (named("{}", Q), "no column of rising times"),
+        ({"time": TIME[::-1], **named("{}", Q)}, "no column of rising times"),
+        ({"time": TIME, "voltage": TIME}, "no column with the position of a joint"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path, columns, told):
+    with pytest.raises(RecordingError, match=told):
+        g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
+
+
+@pytest.mark.parametrize("text", [b"", b"time,q_0\n", b"time,q_0\n0,1\n1,x\n", b"\xff\xfe,\n1,2\n"])
+def test_broken_files_are_refused(tmp_path, text):
+    (tmp_path / "log.csv").write_bytes(text)
+    with pytest.raises(RecordingError):
+        g1stream.open_session(tmp_path / "log.csv")
+
+
+def test_joint_states_and_transforms_of_foxglove(tmp_path):
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file, Writer(file) as writer:
+        for i, row in enumerate(Q):
+            stamp = EPOCH * 10**9 + round(TIME[i] * 1e9)
+            states, frames = JointStates(), FrameTransforms()
+            states.timestamp.FromNanoseconds(stamp)
+            for name, angle in zip(reversed(JOINT_NAMES), row[::-1], strict=True):
+                states.joints.add(name=name, position=angle)
+            frame = frames.transforms.add(parent_frame_id="odom", child_frame_id="pelvis")
+            frame.timestamp.FromNanoseconds(stamp)
+            frame.translation.x, frame.translation.z = TIME[i], 0.8
+            frame.rotation.w, frame.rotation.z = QUAT[i, [0, 3]]
+            for topic, message in (("/joints", states), ("/frames", frames)):
+                writer.write_message(topic, message, log_time=stamp + 7, publish_time=stamp)
+    session = g1stream.open_session(path)
+    assert session.topics == {"/lowstate": 200, "/sportmodestate": 200}
+    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
+    np.testing.assert_allclose(session.measured.imu_quat_wxyz, QUAT, atol=1e-6)
+    np.testing.assert_allclose(session.base.position[:, 0], TIME, atol=1e-6)
+    assert session.measured.publish_time[0] == EPOCH * 10**9

@@ -109,6 +109,14 @@ def test_commands_are_obeyed_later(world):
     assert world.state().q[KNEE] > 0.05
 
 
+@pytest.mark.parametrize(("late", "obeyed"), [(0.49, 1), (0.51, 0)])
+def test_a_delayed_command_is_obeyed_at_the_nearest_tick(world, late, obeyed):
+    simulated = SimulatedRobot(world, SimConfig(command_delay=0.02))
+    simulated.receive_command(good_command().seal(), round(late * PERIOD))
+    simulated.step(10 * PERIOD)
+    assert simulated.report.commands == obeyed
+
+
 def good_command():
     command = LowCmd()
     command.motor_mode = 1

@@ -5,7 +5,7 @@ import pytest
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import encode_log
-from g1stream.session.streams import LogEvent, MeasuredStream, ReferenceStream
+from g1stream.session.streams import LogEvent, MeasuredStream, ReferenceStream, without_steps
 from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
@@ -108,6 +108,15 @@ def test_a_phase_lasts_until_the_next_one_begins():
 def test_a_number_that_stands_for_no_phase_is_named():
     with pytest.raises(RecordingError, match="99"):
         _ = reference([Phase.PLAY, 99]).phases
+
+
+@pytest.mark.parametrize("step", [3 * 10**9, -3 * 10**9])
+@pytest.mark.parametrize(("shown", "left"), [(1.0, 0.0), (0.6, -0.4), (0.4, 0.4), (0.0, 0.0)])
+def test_a_step_is_taken_out_where_the_times_show_most_of_it(step, shown, left):
+    regular = T0 + 10_000_000 * np.arange(2 * N)
+    later = np.arange(2 * N) >= N
+    found = without_steps(regular + round(shown * step) * later, [step])
+    np.testing.assert_array_equal(found, regular + round(left * step) * later)
 
 
 @pytest.mark.parametrize(("level", "name"), [(2, "INFO"), (5, "FATAL"), (9, "UNKNOWN")])

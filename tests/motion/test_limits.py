@@ -105,13 +105,21 @@ def test_warnings_snapshot(spike, robot):
     )
 
 
-@pytest.mark.parametrize(("excess", "level"), [(0.01, logging.INFO), (0.03, logging.WARNING)])
-def test_a_slight_excess_is_not_logged_as_a_warning(make_motion, robot, excess, level):
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(
+    ("excess", "levels"), [(0.01, [logging.INFO]), (0.03, [logging.WARNING]), (-0.1, [])]
+)
+def test_a_slight_excess_is_not_logged_as_a_warning(make_motion, robot, side, excess, levels):
+    """Of the joint that is furthest beyond; what is too fast is a warning anyhow."""
     angles = np.zeros((61, 29))
-    angles[:, KNEE] = robot.upper[KNEE] + excess
-    ((logged, text),) = measured(make_motion(angles), robot).events
-    assert logged == level
-    assert "left_knee_joint" in text
+    limit = robot.upper if side > 0 else robot.lower
+    for joint, share in ((KNEE, 1.0), (WAIST, 0.3)):
+        angles[:, joint] = limit[joint] + side * share * excess
+    angles[::2, ELBOW] = 1.0
+    *held, fast = measured(make_motion(angles), robot).events
+    assert [level for level, _ in held] == levels
+    assert all("left_knee_joint" in text for _, text in held)
+    assert fast[0] == logging.WARNING
 
 
 @pytest.mark.dds

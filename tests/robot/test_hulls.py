@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import tempfile
+from itertools import combinations
 from pathlib import Path
 
 import mujoco
@@ -91,16 +92,19 @@ def test_depth_is_the_way_apart(robot):
             assert found == {HANDS: pytest.approx(overlap, abs=2e-4)}
 
 
-@pytest.mark.parametrize("revision", REVISIONS)
-def test_neutral_pose_is_free_of_contacts(revision):
-    robot = G1.load(revision)
-    pairs = never_collide(robot)
-    assert depths(SelfCollision(robot), np.zeros(N_JOINTS)) == {}
-    for link, parent in enumerate(robot.parent[1:], start=1):
-        assert (robot.link_names[parent], robot.link_names[link]) in pairs
+@pytest.mark.parametrize("name", [*REVISIONS, "g1_23dof"])
+def test_links_with_one_joint_between_or_none_never_collide(name):
+    robot = G1.load(name)
+    model = mujoco_spec(robot, floating=True, shapes=False).compile()
+
+    def near(pair):
+        upper, lower = sorted(model.body_weldid[model.body(link).id] for link in pair)
+        return upper in (lower, model.body_weldid[model.body_parentid[lower]])
+
     # Two joints lie between them, and the foot's outline reaches around the ankle.
-    assert ("left_knee_link", "left_ankle_roll_link") in pairs
-    assert ("left_hip_pitch_link", "left_wrist_yaw_link") not in pairs
+    around = {(f"{side}_knee_link", f"{side}_ankle_roll_link") for side in ("left", "right")}
+    assert never_collide(robot) == around.union(filter(near, combinations(robot.link_names, 2)))
+    assert depths(SelfCollision(robot), np.zeros(N_JOINTS)) == {}
 
 
 @pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")

@@ -140,13 +140,20 @@ def test_what_a_source_tells_is_published_with_the_time_of_the_command(domain_id
     assert [one.publish_time for one in arrived] == [1000, 1000, 1001]
 
 
-def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not(domain_id, until):
+def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not(
+    domain_id, until, monkeypatch
+):
     state = LowState()
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        before = time.monotonic()
         link = DdsLink(ours)
+        after = time.monotonic()
         first, second = (RawWriter(theirs, LOWSTATE, depth=10) for _ in range(2))
         until(lambda: first.matched and second.matched, "both to match")
-        assert "several publishers" in link.unready()
+        for later, waits in ((before + 1.99, True), (after + 2.01, False)):
+            with monkeypatch.context() as patch:
+                patch.setattr(time, "monotonic", lambda later=later: later)
+                assert ("several publishers" in link.unready()) == waits
 
         def heard(writer, tick):
             publish(writer, [tick])
@@ -166,3 +173,15 @@ def test_what_announces_to_be_idle_and_publishes_is_another_publisher(domain_id,
         assert link.other_publishers() == []
         writer.write(STIFF)
         until(link.other_publishers, "another publisher")
+
+
+def test_a_publisher_that_is_matched_before_it_is_announced(domain_id, until, monkeypatch):
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link, writer = DdsLink(ours), RawWriter(theirs, LOWCMD)
+        with monkeypatch.context() as patch:
+            patch.setattr(ours, "writers", lambda topic: [])
+            until(link.other_publishers, "a match")
+            assert link.other_publishers() == ["an unnamed participant"]
+        until(lambda: "pid" in str(link.other_publishers()), "its name")
+        monkeypatch.setattr(ours, "writers", None)  # to ask takes a fraction of a tick
+        assert len(link.other_publishers()) == writer.matched == 1

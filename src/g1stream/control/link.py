@@ -132,7 +132,7 @@ class DdsLink:
                     for one in writers
                     if not one.idle or one.handle in self._published
                 ),
-                *["an unnamed participant"] * max(0, unknown),
+                *["an unnamed participant"] * unknown,
             ]
         return self._other_names
 

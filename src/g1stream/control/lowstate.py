@@ -36,8 +36,6 @@ _SELDOM: Final = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
 _START_TOLERANCE: Final = 0.1
 #: A joint that something hits may be faster than its motor, by this factor.
 _HIT: Final = 2.0
-#: Ticks beyond this say nothing of how far a joint may have moved, ms.
-_LONGEST_BURST: Final = 200
 #: Wrong CRCs are counted over this time, ns.
 _CRC_WINDOW: Final = 1_000_000_000
 
@@ -272,7 +270,7 @@ class LowStateChecks:
         if step.max() <= most and (speed <= fastest).all():  # nearly always
             return ""
         # A simulator that has fallen behind catches up in a burst; its ticks, in ms, say how far.
-        ticks = min((tick - self._content_tick) % 2**32, _LONGEST_BURST)
+        ticks = ticks_between(self._content_tick, tick)
         passed = max((measured.received - self._content_since) / 1e9, ticks / 1e3)
         allowed = fastest * passed + most
         if (step > allowed).any():

@@ -17,31 +17,47 @@ IMU = ImuReading(*(np.zeros(n, np.float32) for n in (4, 3, 3)))
 
 
 def found(
-    delay, seconds=6.0, rate=500.0, noise=0.0, bias=0.0, moving=True, away=0.0, shaken=0.0, seed=3
+    delay,
+    seconds=6.0,
+    rate=500.0,
+    noise=0.0,
+    bias=0.0,
+    moving=True,
+    away=0.0,
+    shaken=0.0,
+    seed=3,
+    until=np.inf,
+    balanced=True,
 ):
-    """What is found of motors whose commands wait for so many s in a queue.
+    """What is found of motors whose commands wait for so many s in a queue, `until` it is empty.
 
     Each is within its limits, and one is `away` from its target, rad. Commands are `shaken` by a
     force on the robot, N, as a balance makes them of sensor noise.
     """
     rng = np.random.default_rng(seed)
     arms = rng.uniform(-0.5, 0.5, 29)  # m
-    found, queue, command = CommandDelay(balanced=True), deque(), LowCmd()
+    found, queue, command = CommandDelay(balanced=balanced), deque(), LowCmd()
     command.kp[:], command.kd[:] = 60.0, 1.0
+    q, dq = np.zeros((2, 29), np.float32)
     frequency = rng.uniform(3.0, 9.0, 29)  # different ones, so that no period is taken for a delay
     for k in range(round(seconds * rate)):
         time = k / rate
         command.tau[:] = 5.0 * np.sin(moving * frequency * time) + shaken * rng.normal() * arms
+        command.q[:] = command.tau / 100.0
+        command.dq[:] = moving * frequency * np.cos(frequency * time) / 20.0
         found.sent(time, command.tobytes())
-        queue.append(command.tau.copy())
-        if len(queue) > delay * rate:
-            q, dq = np.zeros((2, 29), np.float32)
-            q[18] = away
-            tau = (queue.popleft() - 60.0 * q).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+        queue.append(command.tau + 60.0 * command.q + command.dq)
+        q[:] = moving * 0.3 * np.cos(2.0 * time)
+        q[18] += away
+        dq[:] = moving * 8.0 * np.sin(2.0 * time)
+        tau = None
+        while len(queue) > (delay * rate if time < until else 0):
+            tau = queue.popleft()
+        if tau is not None:
+            tau = (tau - 60.0 * q - dq).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
             tau = (tau + bias + noise * rng.normal(size=29)).astype(np.float32)
-            content = tau.tobytes()
-            measured = Reading(q, dq, tau, IMU, received=round(1e9 * time), content=content)
-            found.add(measured)
+            received, content = round(1e9 * time), tau.tobytes()
+            found.add(Reading(q, dq, tau, IMU, received=received, content=content))
     return found
 
 
@@ -55,10 +71,10 @@ def test_commands_that_wait_in_a_queue(delay, rate):
     assert result.stop_reason()
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.08])
 @pytest.mark.parametrize("noise", [0.0, 0.5, 3.0])
 def test_commands_that_do_not(delay, noise):
-    result = found(delay, noise=noise, bias=1.0)
+    result = found(delay, noise=noise, bias=0.3)
     assert result.longest == 0.0
     assert not result.stop_reason()
 
@@ -78,8 +94,26 @@ def test_nothing_is_said_before_commands_and_readings_are_enough():
     assert found(0.4, seconds=2.2).longest is None
 
 
-def test_nothing_is_found_of_a_robot_at_rest():
-    assert found(0.4, noise=0.5, moving=False).longest == 0.0
+@pytest.mark.parametrize(("noise", "shaken"), [(0.5, 0.0), (0.0, 0.02)])
+def test_nothing_is_found_of_a_robot_at_rest(noise, shaken):
+    assert found(0.4, noise=noise, shaken=shaken, moving=False).longest == 0.0
+
+
+@pytest.mark.parametrize("balanced", [True, False])
+def test_a_delay_is_warned_of_once_and_remembered_after_its_end(balanced, caplog):
+    during = found(0.4, seconds=4.0, balanced=balanced)
+    assert bool(during.stop_reason()) == balanced
+    caplog.clear()
+    after = found(0.4, seconds=9.0, until=4.0, balanced=balanced)
+    assert after.longest == pytest.approx(0.4, abs=0.03)
+    assert not after.stop_reason()
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_readings_after_a_stall_of_the_loop_are_not_compared():
+    result = found(0.0)
+    result.add(Reading(*np.ones((3, 29), np.float32), IMU, received=8 * 10**9, content=b"new"))
+    assert result.longest == 0.0
 
 
 def test_a_state_that_stands_still_is_not_compared():

@@ -16,16 +16,29 @@ def reading(time, q, dq):
     return Reading(*joints, IMU, received=round(1e9 * time))
 
 
-def estimate(scale, rate=500.0, seconds=4.0, jitter=0.0, noise=0.0, amplitude=0.4, missing=()):
-    """The estimate after joints have swung in a time that is `scale` times the real one."""
+def estimate(
+    scale,
+    rate=500.0,
+    seconds=4.0,
+    jitter=0.0,
+    noise=0.0,
+    amplitude=0.4,
+    missing=(),
+    stands=False,
+):
+    """The estimate after joints have swung in a time that is `scale` times the real one.
+
+    Some readings are `missing`, and the simulator may stand still meanwhile.
+    """
     rng = np.random.default_rng(7)
     frequency, start = rng.uniform(2.0, 6.0, 29), rng.uniform(0.0, 6.0, 29)
-    estimator = TimeScale()
+    estimator, stood = TimeScale(), 0.0
     for k in range(round(seconds * rate)):
         if k in missing:
+            stood += stands / rate
             continue
         sampled = k / rate
-        phase = frequency * scale * sampled + start
+        phase = frequency * scale * (sampled - stood) + start
         q = amplitude * np.sin(phase) + 1e-2 * noise * rng.normal(size=29)
         dq = amplitude * frequency * np.cos(phase) + noise * rng.normal(size=29)
         received = sampled + jitter * rng.uniform()
@@ -63,6 +76,11 @@ def test_it_is_bounded():
 def test_gaps_are_left_out():
     missing = {k for k in range(2000) if k % 300 < 120}
     assert estimate(0.9, missing=missing).value == pytest.approx(0.9, abs=0.003)
+
+
+def test_a_stall_of_a_simulator_counts():
+    missing = {k for k in range(2000) if k % 250 < 75}
+    assert estimate(1.0, missing=missing, stands=True).value < 0.85
 
 
 def test_a_span_with_a_reading_that_is_not_finite_is_left_out():

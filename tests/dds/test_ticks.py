@@ -20,13 +20,15 @@ def counted(ticks):
         ([0, 6, 8, 10, 20], 2 + 4),
         ([2**32 - 4, 2**32 - 2, 0, 2, 6], 1),
         ([0, 2, 4, 4, 6], 0),
+        ([0, 2, 4, 6000], 2997),
         ([0, 2, 4, 4_000_000, 4_000_002], 0),
     ],
-    ids=["whole", "gap", "gaps at both ends", "wraps", "repeated", "jump"],
+    ids=["whole", "gap", "gaps at both ends", "wraps", "repeated", "long gap", "jump"],
 )
-def test_missed(ticks, missed):
-    gaps = counted(ticks)
-    assert gaps.missed(2.0) == missed
+@pytest.mark.parametrize("scale", [1, 10])
+def test_missed(ticks, missed, scale):
+    gaps = counted([scale * tick % 2**32 for tick in ticks])
+    assert gaps.missed(2.0 * scale) == missed
     assert gaps.received == len(ticks)
 
 

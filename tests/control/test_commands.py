@@ -66,30 +66,6 @@ def test_command_and_reference_have_their_own_targets(composer, target):
     assert reference.tau.tolist() == list(range(29))
 
 
-def test_a_clamped_joint_is_not_driven_outward(composer, target, robot):
-    commanded = target._replace(q=np.zeros(29), dq=np.ones(29), tau=np.full(29, 5.0))
-    commanded.q[3] = robot.upper[3] + 1.0
-    composer.begin(np.clip(commanded.q, robot.lower, robot.upper), 5)
-    command, _ = read(*composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD))
-    margin = SafetyConfig().position_margin
-    assert command.q[3] == pytest.approx(robot.upper[3] - margin)
-    assert (command.dq[3], command.tau[3]) == (0.0, 0.0)
-    assert (command.dq[4], command.tau[4]) == (1.0, 5.0)
-
-
-def test_damping_has_kp_0(composer, target):
-    composer.damp()
-    command, _ = read(*composer.compose(target, target, Phase.DAMP, 0, elapsed=PERIOD))
-    assert not command.kp.any()
-    assert command.kd.tolist() == [3.0] * 29
-
-
-def test_a_command_that_is_not_finite_is_refused(composer, target):
-    commanded = target._replace(tau=np.full(29, np.nan))
-    with pytest.raises(SafetyError, match="tau = nan"):
-        composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD)
-
-
 def test_targets_within_the_limits_are_left_alone(make_limits, robot):
     limits = make_limits()
     for share in (0.0, 0.5, 1.0):

@@ -107,10 +107,6 @@ def test_a_stale_state_damps(make_loop, link):
         ("quaternion", slice(None), 0, "norm 0.000"),
         ("dq", 3, TOO_FAST, "left_knee_joint"),
         ("q", 3, np.nan, "NaN"),
-        ("dq", 3, np.inf, "NaN or infinite"),
-        ("tau_est", 3, np.nan, "torque of left_knee_joint"),
-        ("gyroscope", 1, np.inf, "gyroscope"),
-        ("accelerometer", 0, np.nan, "accelerometer"),
         ("q", 3, 100.0, "left_knee_joint is at 100.000 rad"),
         ("mode_machine", (), 4, "mode_machine changed from 5 to 4"),
         ("wireless_remote", slice(2, 4), (0x20, 0x02), "L2+B"),
@@ -135,17 +131,13 @@ def test_an_overheated_motor_stops_within_20_ms(make_loop, link):
     link.assert_damped()
 
 
-@pytest.mark.parametrize("machine", [4, 6, 9])
-def test_a_wrong_robot_gets_no_command(make_loop, link, machine):
-    link.robot.mode_machine[()] = machine
-    report = make_loop().run()
-    assert f"mode_machine {machine}" in report.reason
-    assert link.sent == []
-
-
-def test_a_fallen_robot_gets_no_command(make_loop, link):
-    link.robot.quaternion[:] = (0.7, 0.0, 0.714, 0.0)
-    assert "tilt" in make_loop().run().reason
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [("mode_machine", 4, "mode_machine 4"), ("quaternion", (0.7, 0.0, 0.714, 0.0), "tilt")],
+)
+def test_a_wrong_robot_and_a_fallen_one_get_no_command(make_loop, link, field, value, reason):
+    getattr(link.robot, field)[...] = value
+    assert reason in make_loop().run().reason
     assert link.sent == []
 
 
@@ -190,12 +182,18 @@ def test_a_restarted_simulator_is_another_robot(make_loop, link):
     link.assert_damped()
 
 
-def test_a_pose_beyond_the_limits_is_no_start(make_loop, link):
-    link.robot.q[3] = 100.0
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [("q", 100.0, "left_hip_pitch_joint is at 100.000 rad"), ("quaternion", 0.0, "norm 0.000")],
+)
+def test_what_is_not_plausible_is_no_start(make_loop, link, clock, field, value, reason):
+    getattr(link.robot, field)[0] = value
+    start = clock.now()
     report = make_loop().run()
-    assert "left_knee_joint is at 100.000 rad" in report.reason
+    assert reason in report.reason
     assert "stream.wait" in report.reason
     assert link.sent == []
+    assert clock.now() - start == 1000 * MS - PERIOD
 
 
 def test_a_wrong_crc_is_dropped_and_its_content_is_not_used(make_loop, link):
@@ -297,16 +295,6 @@ def test_the_first_command_waits_for_a_plausible_state(make_loop, link, clock, f
     assert report.reason == ""
     assert link.sent[0].time == start + 700 * MS + PERIOD
     link.assert_damped()
-
-
-def test_what_was_not_plausible_is_named_after_the_wait(make_loop, link, clock):
-    link.robot.quaternion[:] = 0.0
-    start = clock.now()
-    report = make_loop().run()
-    assert "norm 0.000" in report.reason
-    assert "stream.wait" in report.reason
-    assert link.sent == []
-    assert clock.now() - start == 1000 * MS - PERIOD
 
 
 def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(

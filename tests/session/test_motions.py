@@ -58,18 +58,9 @@ def test_a_session_beyond_a_limit_fails(write):
     assert not report.passed
 
 
-def test_the_frame_rate_is_as_given(write):
-    assert load_motion(write(), fps=100.0).fps == 100.0
-
-
 def test_a_session_in_which_nothing_was_played_is_an_error(write):
     with pytest.raises(RecordingError, match="No motion was played"):
         load_motion(write(Phase.RAMP))
-
-
-def test_a_path_that_is_neither(tmp_path):
-    with pytest.raises(MotionError, match=r"nowhere\.mcap"):
-        load_motion(tmp_path / "nowhere.mcap")
 
 
 # --- recordings of others ---

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from g1stream.motion.spline import TrajectoryPoint
     from g1stream.session.recording import Recording
 
-__all__ = ["with_motion"]
+__all__ = ["encode_references", "with_motion"]
 
 #: References a second of the session, Hz.
 _RATE: Final = 500
@@ -194,22 +194,42 @@ def _write_references(
         published += round(stream.preview_s * 1e9)
     point = trajectory.sample_many(at)
     turn, place = _heading_and_place(session, point, published, info)
-    origin = point.root_pos[0]
+    samples = encode_references(point, at, play.speed, _played(play, info), turn, place)
+    added.write_batch(ReferenceStream.topic, samples, published, published)
+
+
+def encode_references(
+    point: TrajectoryPoint,
+    at: Floats,
+    speed: float,
+    played: NDArray[np.bool_],
+    turn: Floats,
+    place: Floats,
+) -> NDArray[np.uint8]:
+    """(N, size) References in PLAY, as a stream of ours would have published them.
+
+    Args:
+        point: N points of the motion.
+        at: (N,) s since its first frame.
+        speed: seconds of the motion in a second.
+        played: (29,) which joints play it.
+        turn: (4,) wxyz, about the first point, by which the motion is turned.
+        place: (3,) m, where that point is put.
+    """
     values = {
         "tick": np.arange(len(at)),
         "motion_time": at,
         "phase": np.full(len(at), int(Phase.PLAY)),
-        "played": np.full(len(at), played_bits(_played(play, info))),
+        "played": np.full(len(at), played_bits(played)),
         "q": point.joint_pos,
-        "dq": play.speed * point.joint_vel,
-        "ddq": play.speed**2 * point.joint_acc,
-        "root_pos": place + quat_rotate(turn, point.root_pos - origin),
+        "dq": speed * point.joint_vel,
+        "ddq": speed**2 * point.joint_acc,
+        "root_pos": place + quat_rotate(turn, point.root_pos - point.root_pos[0]),
         "root_quat_wxyz": quat_mul(turn, point.root_quat_wxyz),
-        "root_lin_vel": play.speed * quat_rotate(turn, point.root_lin_vel),
-        "root_ang_vel": play.speed * point.root_ang_vel,
+        "root_lin_vel": speed * quat_rotate(turn, point.root_lin_vel),
+        "root_ang_vel": speed * point.root_ang_vel,
     }
-    samples = encode_samples(REFERENCE, values, len(at))
-    added.write_batch(ReferenceStream.topic, samples, published, published)
+    return encode_samples(REFERENCE, values, len(at))
 
 
 def _played(play: Play, info: AttachedInfo) -> NDArray[np.bool_]:

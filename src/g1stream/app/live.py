@@ -9,35 +9,62 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from g1stream.analysis.alignment import find_plays
+from g1stream.analysis.attached import encode_references
 from g1stream.child_process import Parent, optional_child, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.dds.messages import TOPICS
+from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, TOPICS, Batch, Log, Samples
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
+from g1stream.motion.trajectory import Trajectory
 from g1stream.optional import require_installed
 from g1stream.realtime import lower_priority, quick_thread_switches
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_yaw
 from g1stream.session.format import CHANNELS, MessageBatch
-from g1stream.view.pipeline import MessagePipeline
+from g1stream.view.pipeline import Decimator, MessagePipeline
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from concurrent.futures import Future
+
     from foxglove.websocket import ChannelView, Client
 
-__all__ = ["live"]
+    from g1stream.analysis.alignment import Play
+    from g1stream.motion.motion import Motion
+    from g1stream.types import Floats
 
+__all__ = ["FoundReferences", "live"]
+
+#: Of a motion that is looked for: samples a second that are compared, how many, ns from one search
+#: to the next, and references a second that are shown.
+_LOOKED_AT, _SEARCHED_SAMPLES = 50, 1500
+_SEARCH_PERIOD_NS: Final = 3_000_000_000
+_SHOWN: Final = 100
+#: Level of an event in /log.
+_INFO: Final = 2
+#: What tells where it is: commands first.
+_SEARCHED: Final = {
+    LOWCMD.name: (LOWCMD, "motor_cmd.q"),
+    LOWSTATE.name: (LOWSTATE, "motor_state.q"),
+}
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
 
 
 @contextmanager
-def live(config: Config | None = None) -> Iterator[str]:
+def live(config: Config | None = None, *, motion: Motion | None = None) -> Iterator[str]:
     """Serve everything on a DDS domain to Foxglove and Lichtblick for the length of a `with`.
 
     The channels are those of a session file, with the log times of a recorder. Clients can only
@@ -48,6 +75,8 @@ def live(config: Config | None = None) -> Iterator[str]:
 
     Args:
         config: all settings; the defaults if left out.
+        motion: that a controller of somebody else plays, which publishes no references. Once it is
+            found in the commands or in the measured joints, its references are shown.
 
     Yields:
         The address to open, once clients can connect, such as `ws://localhost:8765`.
@@ -58,7 +87,7 @@ def live(config: Config | None = None) -> Iterator[str]:
     """
     config = config or Config()
     require_installed("foxglove-sdk", "live", "A live view needs")
-    with optional_child("live", config, "the live view ended"):
+    with optional_child("live", (config, motion), "the live view ended"):
         yield f"ws://localhost:{config.live_port}"
 
 
@@ -118,12 +147,108 @@ class _Server:
         """Called by the SDK."""
 
 
+class FoundReferences:
+    """References of a motion that somebody else plays, once it is found in what is received.
+
+    Args:
+        motion: that is looked for, in the last half a minute, every few seconds in a thread.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self._trajectory = Trajectory(motion)
+        self._name = motion.name
+        self._few = {name: Decimator(_LOOKED_AT) for name in _SEARCHED}
+        self._received: dict[str, deque[tuple[int, Floats]]] = {
+            name: deque(maxlen=_SEARCHED_SAMPLES) for name in _SEARCHED
+        }
+        self._search: Future[tuple[int, Play] | None] | None = None
+        self._pool = ThreadPoolExecutor(1)
+        self._next = 0
+        #: When the first frame was played, ns, and what is known of the play; until when, ns, its
+        #: references have been given.
+        self._play: tuple[int, Play] | None = None
+        self._given = 0
+
+    def add_to(self, batches: dict[str, Batch]) -> None:
+        """Take in what was received, and add the references up to it, if none were published."""
+        now = 0
+        for name, (topic, field) in _SEARCHED.items():
+            if batch := batches.get(name):
+                times, received = np.array(batch.publish_times), self._received[name]
+                rows = self._few[name].pick(times)
+                q = Samples(topic, [batch.data[i] for i in rows])[field].astype(float)
+                received.extend(zip(times[rows].tolist(), q, strict=True))
+                now = max(now, int(times[-1]))
+        self._look(batches, now)
+        if self._play and now and REFERENCE.name not in batches:
+            references = self._references(now)
+            if references.data:
+                batches[REFERENCE.name] = references
+
+    @property
+    def searched(self) -> bool:
+        """Whether no search is going on."""
+        return self._search is None or self._search.done()
+
+    def _look(self, batches: dict[str, Batch], now: int) -> None:
+        if self._search and self.searched:
+            if (found := self._search.result()) and self._play is None:
+                self._tell(batches, now, f"{self._name} was found at {found[1].last:.1f} s of it")
+                self._given = now
+            self._play, self._search = found or self._play, None
+        if self._search is None and now > self._next:
+            self._next = now + _SEARCH_PERIOD_NS
+            received = {name: list(one) for name, one in self._received.items()}
+            self._search = self._pool.submit(self._find, received)
+
+    @staticmethod
+    def _tell(batches: dict[str, Batch], now: int, text: str) -> None:
+        event = Log()
+        event.level[()], event.name, event.text = _INFO, "live", text
+        batch = batches.setdefault(LOG.name, Batch())
+        batch.data.append(event.tobytes())
+        batch.publish_times.append(now)
+        batch.log_times.append(now)
+
+    def _find(self, received: Mapping[str, list[tuple[int, Floats]]]) -> tuple[int, Play] | None:
+        """The play that goes on, by commands if they tell it."""
+        for samples in received.values():
+            if len(samples) < _LOOKED_AT:
+                continue
+            zero = samples[0][0]
+            times = np.array([time - zero for time, _ in samples]) / 1e9
+            alignment = find_plays(times, np.array([q for _, q in samples]), self._trajectory)
+            if alignment.plays and not alignment.ambiguous:
+                play = alignment.plays[-1]
+                return zero + round(play.start * 1e9), play
+        return None
+
+    def _references(self, now: int) -> Batch:
+        start, play = self._play or (0, None)
+        assert play
+        published = np.arange(self._given, now, round(1e9 / _SHOWN))
+        at = play.speed * ((published - start) / 1e9)
+        inside = (at >= 0.0) & (at <= self._trajectory.duration)
+        published, at, self._given = published[inside], at[inside], now
+        if not len(at):
+            return Batch()
+        point = self._trajectory.sample_many(at)
+        turn = quat_from_yaw(0.0)  # the pipeline turns the measured robot instead
+        rows = encode_references(point, at, play.speed, play.joints, turn, point.root_pos[0])
+        times = published.tolist()
+        return Batch([row.tobytes() for row in rows], times, times)
+
+
 def _run_child(parent: Parent) -> None:
-    """Serve for a parent, whose startup message is the config, what a recorder would write."""
+    """Serve for a parent what a recorder would write.
+
+    Its startup message is the config, and the motion to look for or None.
+    """
     lower_priority()
     # The SDK logs how clients come and go; the viewer shows that itself.
     logging.getLogger("foxglove").addHandler(logging.NullHandler())
-    config: Config = parent.startup_message
+    config: Config
+    config, motion = parent.startup_message
     settings = config.record
     if settings.channels == "raw":  # to keep a file small; viewers would show nothing
         settings = settings.model_copy(update={"channels": "standard"})
@@ -136,12 +261,15 @@ def _run_child(parent: Parent) -> None:
     ):
         receiver = Receiver(participant, TOPICS)
         receiver.start()
+        found = FoundReferences(motion) if motion else None
         try:
             server = _Server(header, config.live_port)
             parent.ready()
             while not parent.done.is_set():
                 time.sleep(settings.batch)
                 batches = receiver.drain()
+                if found:
+                    found.add_to(batches)
                 for messages in (*raw_messages(batches), *pipeline.encode(batches)):
                     server.send(messages)
         finally:

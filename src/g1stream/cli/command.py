@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from g1stream.analysis.summary import Summary
     from g1stream.config import Config
+    from g1stream.motion.motion import Motion
 
 EXIT_OK, EXIT_STOPPED = 0, 1
 
@@ -90,14 +91,14 @@ class LiveCommand(SettingsCommand):
         return super().resolve()
 
     @contextmanager
-    def serving(self, config: Config) -> Iterator[None]:
+    def serving(self, config: Config, motion: Motion | None = None) -> Iterator[None]:
         """Serve for the length of a `with`, if asked to, and print the address to open."""
         if not self.live:
             yield
             return
         from g1stream.app.live import live
 
-        with live(config) as address:
+        with live(config, motion=motion) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"
             print(f"Live in Foxglove and Lichtblick: {where}", file=sys.stderr)
             yield

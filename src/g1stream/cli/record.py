@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from g1stream.cli.command import LiveCommand, announce_wire, exit_code, on_signals, print_summary
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
+from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
@@ -29,6 +30,7 @@ class Record(LiveCommand):
     Examples:
       g1stream record session.mcap
       g1stream record robot.mcap --config robot --interface eth0 --split-size 1000
+      g1stream record mine.mcap --live --motion dance.csv    # played by another program
 
     Exit codes:
       0  recorded
@@ -38,22 +40,36 @@ class Record(LiveCommand):
 
     file: Path = argument("The session file.", "MCAP")
     force: bool = flag(False, "Replace a file that exists already.")
+    motion: str | None = flag(
+        None,
+        "Motion that another program plays; it is found while it is played, for the live view. "
+        "Afterwards, `attach` adds it to the file.",
+        "MOTION",
+    )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Record, and return the exit code."""
         from g1stream.app.record import record
+        from g1stream.motion.readers import load_motion
 
         lower_priority()
         stopped: list[str] = []
         config = self.resolve()
+        if self.motion is not None and not self.live:
+            raise ConfigError(
+                "The flag --motion has no effect without --live.",
+                "Add --live, or attach the motion to the file later: g1stream attach.",
+            )
+        motion = load_motion(self.motion) if self.motion is not None else None
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
         with ExitStack() as stack:
-            stack.enter_context(self.serving(config))  # Ctrl-C ends a server that does not start
+            # Ctrl-C ends a server that does not start.
+            stack.enter_context(self.serving(config, motion))
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 

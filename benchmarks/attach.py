@@ -1,0 +1,165 @@
+"""A motion found in sessions without a reference: how exactly, how surely, how fast.
+
+    python benchmarks/attach.py [MOTION...] [--clips 11] [--seconds 12] [--json]
+
+Clips of the motions (default: demo, whole) are played in the lockstep simulator, and the reference
+is removed. `found` has, over all clips, the greatest errors of start and speed where it is found
+again: by commands; by measured joints alone, whose start is late by the robot's lag; with 5 ms of
+jitter in the clock; with a tenth of the messages missing; played at other speeds; twice in one
+file. `pairs` counts the clips accepted in sessions of another clip. `cost` is the time to find a
+motion in ten minutes, in a file on disk, and its ratio to the session's length.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import g1stream
+from g1stream.errors import RecordingError
+from g1stream.session.source import MemorySource
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from g1stream import Motion, Session
+
+COMMANDS, STATES = "/lowcmd", "/lowstate"
+SPEEDS = (0.5, 0.9, 1.25)
+TEN_MINUTES = 600.0
+
+
+def clips_of(motions: list[str], n: int, seconds: float) -> list[Motion]:
+    """Clips that do not overlap, spread over the motions."""
+    found: list[Motion] = []
+    whole = [g1stream.load_motion(one) for one in motions]
+    each = -(-n // len(whole))
+    for motion in whole:
+        edges = np.linspace(0.0, motion.duration, each + 1)
+        found += [motion.trim(a, min(b, a + seconds)) for a, b in pairwise(edges)]
+    return found[:n]
+
+
+def changed(
+    session: Session,
+    topics: Iterable[str] = (COMMANDS, STATES),
+    keep: Callable[[np.ndarray], np.ndarray] = lambda times: np.ones(len(times), bool),
+    jitter: float = 0.0,
+    times: int = 1,
+) -> Session:
+    """A session with some topics only, so many times in a row, and what was done to its clock."""
+    source, rng = MemorySource("changed"), np.random.default_rng(0)
+    for topic in topics:
+        messages = list(session.messages(topic))
+        stamps = np.array([one.publish_time for one in messages])
+        length = int(stamps[-1] - stamps[0]) + 2_000_000_000
+        for again in range(times):
+            shift = (rng.uniform(-jitter, jitter, len(stamps)) * 1e9).astype(np.int64)
+            moved = stamps + again * length + shift
+            order = np.argsort(moved, kind="stable")
+            kept = order[keep((stamps[order] - stamps[0]) / 1e9)]
+            data = [messages[i].data for i in kept]
+            source.write_batch(topic, data, moved[kept] + 100_000, moved[kept])
+    source.add_metadata({"stream": session.metadata["stream"]})
+    return g1stream.Session(source)
+
+
+def played(motion: Motion) -> Session:
+    """A session of a motion in the lockstep simulator."""
+    return g1stream.rollout(motion, support="bolted")
+
+
+def errors(cases: list[tuple[Session, Motion, int, float]]) -> dict[str, Any]:
+    """How far start (ms) and speed (%) are off at most; sessions with where they should be."""
+    starts, speeds, similar, found = [0.0], [0.0], [1.0], 0
+    for session, motion, start_ns, speed in cases:
+        try:
+            attached = session.attach(motion)
+        except RecordingError:
+            continue
+        info = attached.attached
+        assert info
+        found += 1
+        starts.append(abs(attached.start_ns - start_ns) / 1e6)
+        speeds.append(abs(info.speed / speed - 1.0) * 100.0)
+        similar.append(info.similarity)
+    return {
+        "found": f"{found} of {len(cases)}",
+        "start_ms": round(max(starts), 3),
+        "speed_percent": round(max(speeds), 4),
+        "similarity": round(min(similar), 3),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("motions", nargs="*", default=["demo"])
+    parser.add_argument("--clips", type=int, default=11)
+    parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    clips = clips_of(args.motions, args.clips, args.seconds)
+    runs = [played(clip) for clip in clips]
+    starts = [run.start_ns for run in runs]
+
+    def all_of(change: Callable[[Session], Session]) -> dict[str, Any]:
+        done = [change(run) for run in runs]
+        return errors([(a, b, c, 1.0) for a, b, c in zip(done, clips, starts, strict=True)])
+
+    def tenth(times: np.ndarray) -> np.ndarray:
+        return (times < 0.5 * times[-1]) | (times > 0.6 * times[-1])
+
+    found = {
+        "by commands": all_of(changed),
+        "by measured joints": all_of(lambda run: changed(run, [STATES])),
+        "5 ms of jitter": all_of(lambda run: changed(run, jitter=5e-3)),
+        "a tenth missing": all_of(lambda run: changed(run, keep=tenth)),
+        "twice in a file": all_of(lambda run: changed(run, times=2)),
+    }
+    for speed in SPEEDS:
+        # Slower and faster than the file says, within what the joints can do.
+        sessions = [played(clip.at_speed(speed)) for clip in clips[:: max(1, len(clips) // 4)]]
+        motions = clips[:: max(1, len(clips) // 4)]
+        cases = [(changed(a), b, a.start_ns, speed) for a, b in zip(sessions, motions, strict=True)]
+        found[f"at speed {speed:g}"] = errors(cases)
+    own, others = 0, 0
+    for i, run in enumerate(runs):
+        session = changed(run)
+        for j, clip in enumerate(clips):
+            try:
+                session.attach(clip)
+            except RecordingError:
+                continue
+            own, others = own + (i == j), others + (i != j)
+    n = len(clips)
+    pairs = {"own": f"{own} of {n}", "others": f"{others} of {n * (n - 1)}"}
+    with tempfile.TemporaryDirectory() as directory:
+        motion = g1stream.load_motion(args.motions[0])
+        run = played(clips[0])
+        length = (run.summary().duration_s or 1.0) + 2.0
+        path = Path(directory, "long.mcap")
+        changed(run, times=round(TEN_MINUTES / length)).save(path)
+        begun = time.perf_counter()
+        session = g1stream.open_session(path)
+        session.attach(motion)
+        took = time.perf_counter() - begun
+    cost = {"find_s": round(took, 2), "times_real_time": round(TEN_MINUTES / took)}
+    if args.json:
+        print(json.dumps({"found": found, "pairs": pairs, "cost": cost}, indent=2))
+        return
+    print(f"{'':22}{'found':>10}{'start, ms':>12}{'speed, %':>12}{'similarity':>12}")
+    for name, row in found.items():
+        print(f"{name:22}" + "".join(f"{value:>12}" for value in row.values())[2:])
+    print(f"\nsessions of the clip itself: {pairs['own']}; of another clip: {pairs['others']}")
+    print(f"ten minutes: {cost['find_s']} s, {cost['times_real_time']} times real time")
+
+
+if __name__ == "__main__":
+    main()

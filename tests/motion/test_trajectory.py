@@ -47,7 +47,7 @@ def test_orientation_is_scipys_rotation_spline(wild_motion):
     spline = RotationSpline(frame_times(wild_motion), rotation(wild_motion.root_quat_wxyz))
     point = trajectory.sample_many(times)
     off = (spline(times).inv() * rotation(point.root_quat_wxyz)).magnitude()
-    assert off.max() < 1e-14
+    assert off.max() < 1e-11  # SciPy's rounds end where one changes less than 1e-9
     np.testing.assert_allclose(point.root_ang_vel, spline(times, 1), rtol=1e-9, atol=1e-9)
     # scipy's formula for the acceleration cancels for small angles, so it knows fewer digits.
     np.testing.assert_allclose(point.root_ang_acc, spline(times, 2), rtol=1e-4, atol=1e-4)

@@ -1,7 +1,8 @@
 """A smooth function of time through frames at a constant rate: the pose and its derivatives.
 
-Joints and root position are natural cubic splines through the frames; the root's orientation is
-scipy's `RotationSpline`, whose rotation vector from each frame to the next is a cubic in time.
+Joints and root position are natural cubic splines through the frames; the root's orientation
+has, from each frame to the next, a rotation vector that is a cubic in time (K. S. Park and B.
+Ravani, "Smooth invariant interpolation of rotations", 1997, as SciPy's `RotationSpline` has it).
 Position, velocity and acceleration are continuous (C2).
 
 Natural boundary conditions: of all curves through the frames this one has the least curvature, and
@@ -22,7 +23,7 @@ import numpy as np
 from g1stream.motion.blend import seam_frames
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import BLOCK
-from g1stream.robot.rotations import xyzw_from_wxyz
+from g1stream.robot.rotations import quat_conj, quat_mul
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -214,21 +215,126 @@ def _fit(fps: float, quat: Floats, *linear: Floats) -> Floats:
     The last three columns are the rotation vector from the first frame of the segment, in the axes
     of that frame.
     """
-    from scipy.spatial.transform import Rotation, RotationSpline
-
-    times = np.arange(len(quat)) / fps
-    rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
-    rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    return np.concatenate([_fit_linear(fps, *linear), rotation_vectors], axis=-1)
+    return np.concatenate([_fit_linear(fps, *linear), _fit_rotation(fps, quat)], axis=-1)
 
 
 def _fit_linear(fps: float, *linear: Floats) -> Floats:
-    """The natural cubics through arrays (T, ...) side by side: coefficients (4, T - 1, D)."""
-    from scipy.interpolate import CubicSpline
+    """The natural cubics through arrays (T, ...) side by side: coefficients (4, T - 1, D).
 
+    The second derivatives m of a cubic spline with an even step fulfil m[i-1] + 4 m[i] + m[i+1] =
+    6 (y[i-1] - 2 y[i] + y[i+1]) / step^2; here they are in units of 1 / step^2.
+    """
     values = np.hstack(linear)
-    powers_first: Floats = CubicSpline(np.arange(len(values)) / fps, values, bc_type="natural").c
-    return powers_first
+    way, bend = np.diff(values, axis=0), np.zeros_like(values)
+    n = len(values) - 2
+    if n > 0:
+        one = np.ones((n, 1, 1))
+        solve = _tridiagonal_solver(one, 4.0 * one, one)
+        bend[1:-1] = solve(6.0 * np.diff(way, axis=0)[:, np.newaxis])[:, 0]
+    slope = way - (2.0 * bend[:-1] + bend[1:]) / 6.0
+    cubics = np.stack([np.diff(bend, axis=0) / 6.0, 0.5 * bend[:-1], slope, values[:-1]])
+    in_seconds: Floats = cubics * (fps ** np.arange(3, -1, -1))[:, np.newaxis, np.newaxis]
+    return in_seconds
+
+
+#: Rounds in which the rates of a rotation spline are found, and how near two are at the end.
+_ROUNDS: Final = 20
+_NEAR: Final = 1e-13
+
+
+def _fit_rotation(fps: float, quat: Floats) -> Floats:
+    """The cubic rotation vectors between frames (T, 4) wxyz: coefficients (4, T - 1, 3).
+
+    The angular velocities w at the frames make the angular acceleration continuous. Those of the
+    first and the last frame are the mean ones of their segments. With a step of 1, the turns r from
+    frame to frame, the right Jacobian J(r) of SO(3), its inverse K(r), and the part n of the
+    acceleration that is not linear in w, they fulfil
+    J(r[i-1]) w[i-1] + 4 w[i] + K(r[i]) w[i+1] = 3 (r[i-1] + r[i]) - n / 2.
+    n follows from w, so that this is solved in rounds.
+    """
+    turns = _logarithm(quat_mul(quat_conj(quat[:-1]), quat[1:]))
+    jacobian = _right_jacobian(turns)
+    inverse = np.asarray(np.linalg.inv(jacobian), np.float64)
+    rates, n = np.concatenate([turns, turns[-1:]]), len(turns) - 1
+    rates[1:-1] = 0.5 * (turns[:-1] + turns[1:])
+    ends = np.einsum("nij,nj->ni", inverse, rates[1:])
+    wanted = 3.0 * (turns[:-1] + turns[1:])
+    four = np.broadcast_to(4.0 * np.eye(3), (n, 3, 3))
+    solve = _tridiagonal_solver(jacobian[:-1], four, inverse[1:])
+    for _ in range(_ROUNDS if n else 0):
+        curved = _rotation_state((1.0, 0.0, 0.0, 0.0), turns[:-1].T, ends[:-1].T, (0.0, 0.0, 0.0))
+        right = wanted - 0.5 * np.stack(curved[2], axis=-1)
+        right[0] -= jacobian[0] @ rates[0]
+        right[-1] -= inverse[-1] @ rates[-1]
+        found = solve(right[..., np.newaxis])[..., 0]
+        change = np.abs(found - rates[1:-1]).max()
+        rates[1:-1] = found
+        ends = np.einsum("nij,nj->ni", inverse, rates[1:])
+        if change <= _NEAR * (1.0 + np.abs(found).max()):
+            break
+    starts = rates[:-1]
+    cubics = np.stack(
+        [starts + ends - 2.0 * turns, 3.0 * turns - 2.0 * starts - ends, starts, 0.0 * turns]
+    )
+    in_seconds: Floats = cubics * (fps ** np.arange(3, -1, -1))[:, np.newaxis, np.newaxis]
+    return in_seconds
+
+
+def _logarithm(quat: Floats) -> Floats:
+    """(N, 3) rotation vectors of quaternions (N, 4) wxyz, rad, of at most half a turn."""
+    quat = np.copysign(1.0, quat[:, :1]) * quat
+    sine = np.linalg.norm(quat[:, 1:], axis=1, keepdims=True)
+    tiny = sine < 1e-8  # there the angle is twice its half's sine, to the last digit
+    factor = np.where(tiny, 2.0, 2.0 * np.arctan2(sine, quat[:, :1]) / np.where(tiny, 1.0, sine))
+    vectors: Floats = factor * quat[:, 1:]
+    return vectors
+
+
+def _right_jacobian(turns: Floats) -> Floats:
+    """(N, 3, 3) what makes angular velocities of the rates of rotation vectors (N, 3)."""
+    cross = np.cross(np.eye(3), turns[:, np.newaxis])  # [r]x of each
+    angle2 = np.square(turns).sum(axis=1)[:, np.newaxis, np.newaxis]
+    jacobian: Floats = (
+        np.eye(3) - _series(_VERSINE, angle2) * cross + _series(_SINE_GAP, angle2) * (cross @ cross)
+    )
+    return jacobian
+
+
+def _tridiagonal_solver(lower: Floats, middle: Floats, upper: Floats) -> Callable[[Floats], Floats]:
+    """Solves lower[i] x[i-1] + middle[i] x[i] + upper[i] x[i+1] = y[i] for x (N, K, M) of y.
+
+    By cyclic reduction: every second unknown is expressed by its neighbours, which halves the
+    system, all at once. `lower[0]` and `upper[-1]` have no neighbour and are not used.
+
+    Args:
+        lower: (N, K, K).
+        middle: (N, K, K), large beside the other two.
+        upper: (N, K, K).
+    """
+    if len(middle) <= 1:
+        return lambda right: np.asarray(np.linalg.solve(middle, right))
+    inverse = np.linalg.inv(middle[1::2])
+    before, after = inverse @ lower[1::2], inverse @ upper[1::2]
+    n_odd, n = len(inverse), (len(middle) - 1) // 2  # n: odd unknowns between two even ones
+    low, high = lower[2::2], upper[:-1:2]
+    even_lower, even_middle, even_upper = (np.array(one[::2]) for one in (lower, middle, upper))
+    even_lower[1:] = -low @ before[:n]
+    even_middle[1:] -= low @ after[:n]
+    even_middle[:n_odd] -= high @ before
+    even_upper[:n_odd] = -high @ after
+    solve_even = _tridiagonal_solver(even_lower, even_middle, even_upper)
+
+    def solve(right: Floats) -> Floats:
+        alone, even = inverse @ right[1::2], np.array(right[::2])
+        even[1:] -= low @ alone[:n]
+        even[:n_odd] -= high @ alone
+        x = np.empty_like(right)
+        x[::2] = solve_even(even)
+        x[1::2] = alone - before @ x[:-1:2]
+        x[1::2][:n] -= after[:n] @ x[2::2]
+        return x
+
+    return solve
 
 
 def _rotation_state(base: Any, r: Any, rate: Any, accel: Any) -> tuple[Any, Any, Any]:

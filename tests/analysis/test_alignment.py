@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,31 @@ def test_two_plays_are_found_in_their_order():
     plays = find_plays(times, q, MOTION).plays
     assert [round(play.start, 3) for play in plays] == [5.0, 30.0]
     assert [play.last for play in plays] == pytest.approx([20.0, 40.0], abs=0.1)
+
+
+def test_plays_are_in_order_of_the_time_at_which_they_were_played():
+    times, q = played(5.0, part=(0.0, 12.0), seconds=45.0)
+    _, later = played(-5.0, part=(25.0, 38.0), seconds=45.0)
+    q = np.where((times > 18.5)[:, np.newaxis], later, q)
+    plays = find_plays(times, q, MOTION).plays
+    assert [play.first for play in plays] == pytest.approx([0.0, 25.0], abs=0.1)
+
+
+def test_each_of_many_plays_is_found():
+    short = Trajectory(wandering(6, 8.0))
+    times = np.arange(0.0, 100.0, 1.0 / RATE)
+    q = short.sample_joints(np.mod(times, 10.0) - 1.0)[0]
+    assert [play.start for play in find_plays(times, q, short).plays] == pytest.approx(
+        np.arange(1.0, 100.0, 10.0), abs=1e-3
+    )
+
+
+def test_a_gentle_play_in_a_long_rest_is_found():
+    gentle = wandering(7, 15.0)
+    trajectory = Trajectory(replace(gentle, joint_pos=0.3 * gentle.joint_pos))
+    times = np.arange(0.0, 900.0, 0.05)
+    q = trajectory.sample_joints(times - 400.0)[0]
+    assert only(find_plays(times, q, trajectory)).start == pytest.approx(400.0, abs=2e-3)
 
 
 def test_joints_that_rest_though_the_motion_moves_them_do_not_follow():

@@ -10,7 +10,7 @@ import pytest
 import g1stream
 from g1stream.app.attach import write_attached
 from g1stream.app.session import Session
-from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, encode_samples
+from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -99,6 +99,8 @@ def test_by_the_robot_alone_its_lag_is_part_of_the_start_and_no_delay_is_told(st
     assert session.attached.by_robot
     assert start_of(session) == pytest.approx(4.015, abs=2e-3)
     assert session.tracking().overall < 2e-3
+    assert session.tracking().delay is None
+    assert session.metrics().tracking.all_joints.delay_s is None
     assert "not known" in str(session.summary())
 
 
@@ -196,8 +198,43 @@ def test_refusals(strangers, motion):
     backwards = replace(motion, joint_pos=motion.joint_pos[::-1])
     with pytest.raises(RecordingError, match="was not played"):
         session.attach(backwards)
-    only_references = MemorySource("none")
-    data = encode_samples(REFERENCE, {"q": np.zeros((3, 29))}, 3)
-    only_references.write_batch("/reference", data, T0 + np.arange(3), T0 + np.arange(3))
-    with pytest.raises(RecordingError):
-        Session(only_references).attach(motion)
+    torques = MemorySource("torques")
+    data = encode_samples(LOWCMD, {"motor_cmd.tau": np.ones((3, 29))}, 3)
+    torques.write_batch("/lowcmd", data, T0 + np.arange(3), T0 + np.arange(3))
+    with pytest.raises(RecordingError, match="neither commands nor states"):
+        Session(torques).attach(motion)
+    with pytest.raises(RecordingError, match="whole session"):
+        session.sel(time=slice(0.0, 5.0)).attach(motion)
+
+
+def test_a_second_is_no_recording_and_a_clock_may_leap_by_years(strangers, motion):
+    source = strangers(LOWSTATE).source
+    _, state = next(source.batches({"/lowstate"}))
+    short, leaping = MemorySource("short"), MemorySource("leaping")
+    short.write_batch("/lowstate", state.data[:3], state.log_times[:3], state.publish_times[:3])
+    with pytest.raises(RecordingError, match="was not played"):
+        Session(short).attach(motion)
+    times = state.publish_times.copy()
+    times[:20] -= 10**18
+    leaping.write_batch("/lowstate", state.data, times, times)
+    begun = Session(leaping).attach(motion).start_ns
+    assert begun == pytest.approx(T0 + 4_015_000_000, abs=2_000_000)
+
+
+def test_references_are_on_the_clock_of_the_state_where_that_is_another(strangers, motion):
+    """The written file then has a tracking error."""
+    source = strangers(LOWCMD, LOWSTATE).source
+    other = MemorySource("other clock")
+    for topic in ("/lowcmd", "/lowstate"):
+        _, one = next(source.batches({topic}))
+        other.write_batch(topic, one.data, one.log_times, one.publish_times + 60_000_000_000)
+    attached = Session(other).attach(motion)
+    assert attached.reference.publish_time[0] > T0 + 60_000_000_000
+    assert attached.start_ns == pytest.approx(T0 + 4_000_000_000 + LATENCY, abs=1_000_000)
+    assert attached.tracking().delay.seconds == pytest.approx(0.015, abs=1e-3)
+
+
+def test_joints_that_were_not_recorded_did_not_play(strangers, motion):
+    session = strangers(LOWSTATE)
+    session.source.add_metadata({"absent": ["left_wrist_yaw_joint"]})
+    assert 21 not in Session(session.source).attach(motion).tracking().joints

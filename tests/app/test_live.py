@@ -243,10 +243,8 @@ def test_a_motion_that_somebody_else_plays_is_found_and_its_references_are_added
     np.testing.assert_allclose(motion_time, 0.8 * ((published - T0) / 1e9 - 4.0), atol=5e-3)
     np.testing.assert_allclose(samples["q"], trajectory.sample_joints(motion_time)[0], atol=1e-6)
     assert motion_time.max() <= trajectory.duration
-
-
-def test_references_that_a_stream_publishes_are_left_alone():
-    found = program.FoundReferences(load_motion("demo"))
-    batches = {REFERENCE.name: Batch()}
+    theirs, last = Batch([b"theirs"], [0], [0]), [int(stamps[-1])]
+    command = Batch([rows[-1].tobytes()], last, last)
+    batches = {LOWCMD.name: command, REFERENCE.name: theirs}
     found.add_to(batches)
-    assert batches == {REFERENCE.name: Batch()}
+    assert batches[REFERENCE.name] is theirs

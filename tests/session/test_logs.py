@@ -60,6 +60,26 @@ def test_columns_are_told_by_the_words_in_their_names(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("measured", "target"),
+    [
+        ("/joint_states/{joint}/position", "/joint_targets/{joint}/cmd/position"),
+        ("/lowstate/motor_state[{number}]/q", "/lowcmd/motor_cmd[{number}]/q"),
+        ("q{number}", "q_des_{number}"),
+        ("joint_pos_{joint}", "action.{joint}"),
+    ],
+)
+def test_names_that_tools_give_to_columns(tmp_path, measured, target):
+    columns = {"__time": TIME}
+    for pattern, values in ((measured, Q), (target, TARGETS)):
+        for number, joint in enumerate(JOINT_NAMES):
+            columns[pattern.format(joint=joint, number=number)] = values[:, number]
+    session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
+    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
+    if "targets" not in target:  # a word that says nothing is not guessed at
+        np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
+
+
+@pytest.mark.parametrize(
     ("name", "factor", "start"),
     [
         ("time", 1, 0.0),
@@ -67,6 +87,8 @@ def test_columns_are_told_by_the_words_in_their_names(tmp_path):
         ("time_ms", 1e3, 0.0),
         ("timestamp_us", 1e6, 3.0),
         ("stamp_ns", 1e9, 0.0),
+        ("timestamp_ns", 1e9, 3 * 3600.0),  # since the machine was started
+        ("time_us", 1e6, 3 * 3600.0),
         ("timestamp", 1, EPOCH),
         ("timestamp", 1e9, EPOCH),
     ],
@@ -115,6 +137,7 @@ def test_joints_that_a_log_lacks_are_absent(tmp_path):
         (named("{}", Q), "no column of rising times"),
         ({"time": TIME[::-1], **named("{}", Q)}, "no column of rising times"),
         ({"time": TIME, "voltage": TIME}, "no column with the position of a joint"),
+        ({"time": TIME, **{f"q_{i + 1}": Q[:, i] for i in range(29)}}, "counted from 1"),
     ],
 )
 def test_what_is_no_log_is_refused(tmp_path, columns, told):

@@ -8,7 +8,6 @@ the line then follow from least squares on the joint positions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from g1stream.analysis.tracking import interpolated, rms
 from g1stream.session.streams import MAX_GAP_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Alignment", "Play", "find_plays"]
 
+#: A longer time without samples parts two recordings, and a shorter recording tells nothing, s.
+_PAUSE, _SHORTEST = 60.0, 1.0
 #: Steps a second at which velocities are compared.
 _RATE: Final = 25
 #: Length of a window, s, and how many times it fits into a short motion at least.
@@ -49,9 +50,7 @@ _WORTH: Final = 0.2
 _SAMPLES, _FIRST_SPAN, _STEPS, _GROWTH = 600, 2.0, 5, 1.6
 #: No speed is lower, or higher than its inverse.
 _SLOWEST: Final = 0.2
-#: A joint follows the motion where that explains so much of the variance of its position.
-_EXPLAINED: Final = 0.5
-#: A window at the place that was found follows where the correlation is above this.
+#: A joint, or a second of all joints, follows the motion where velocities correlate by more.
 _FOLLOWS: Final = 0.5
 #: The least similarity of a play, by its length, s. Windows of other motions reach 0.9 for 3 s.
 _SECONDS, _SIMILAR = (0.0, 3.0, 6.0, 10.0), (1.0, 0.96, 0.85, 0.7)
@@ -96,58 +95,92 @@ class Play(NamedTuple):
         return max(self.similarity, 0.0) * self.seconds
 
 
-@dataclass(frozen=True)
-class Alignment:
+class Alignment(NamedTuple):
     """Where a motion is in a recording.
 
     Attributes:
         plays: of the motion, in order of time; empty where there is none.
+        best: of them, the one that explains most.
         rival: another place in the motion for the time of the best play; None where none is
             similar. It is the best place of all where there is no play.
         ambiguous: whether the rival is as good as the play.
     """
 
     plays: tuple[Play, ...]
+    best: Play | None
     rival: Play | None
     ambiguous: bool
 
 
-def find_plays(times: Floats, q: Floats, trajectory: Trajectory) -> Alignment:
+def find_plays(
+    times: Floats, q: Floats, trajectory: Trajectory, *, any_speed: bool = True
+) -> Alignment:
     """Find each time that a motion was played.
 
     Args:
         times: (N,) s, rising.
         q: (N, 29) rad, motor order: measured positions, or the targets of commands.
         trajectory: the motion.
+        any_speed: whether speeds from a quarter to four times are tried where it was not played at
+            its own.
     """
-    signal = _Signal(times, q)
+    # A clock may have been set by years.
+    pauses = np.flatnonzero(np.diff(times) > _PAUSE) + 1
+    signals = [
+        _Signal(times[part], q[part])
+        for part in np.split(np.arange(len(times)), pauses)
+        if len(part) > 1 and times[part[-1]] - times[part[0]] > _SHORTEST
+    ]
+    found = [play for signal in signals for play in _search(signal, trajectory, any_speed)]
+    plays = sorted(_distinct(filter(_is_play, found)), key=lambda play: play.span)
+    best = max(plays, key=lambda play: play.explained, default=None)
+    others = (one for one in found if one not in plays and (not best or _overlap(one, best)))
+    rival = max(others, key=lambda one: one.explained, default=None)
+    ambiguous = bool(best and rival and rival.explained >= _RIVAL * best.explained)
+    return Alignment(tuple(plays), best, rival, ambiguous)
+
+
+def _search(signal: _Signal, trajectory: Trajectory, any_speed: bool) -> list[Play]:
+    """What is similar to the motion: plays, and other places at the times of these."""
     found: list[Play] = []
-    for speeds, pairs in (((1.0,), _PAIRS), (_SPEEDS, _FEWER_PAIRS)):
-        places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
-        places.sort(key=lambda place: -place.score)
-        for place in places[:_CANDIDATES]:
-            if place.score < _WORTH * places[0].score:
+    for speeds, pairs in (((1.0,), _PAIRS), (_SPEEDS if any_speed else (), _FEWER_PAIRS)):
+        while new := _best_places(signal, trajectory, speeds, pairs):
+            found += new
+            free = int(signal.free.sum())
+            for play in filter(_is_play, new):  # and then what else there is
+                signal.set_aside(play)
+            if signal.free.sum() == free:
                 break
-            play = _refined(signal, trajectory, place)
-            if play is not None and not any(_is_same(play, other) for other in found):
-                found.append(play)
         # A short one may be by chance, and another speed explain more.
-        if any(
-            _is_play(play) and play.seconds > 0.5 * min(signal.moving, trajectory.duration)
-            for play in found
-        ):
+        explained = sum(play.explained for play in _distinct(filter(_is_play, found)))
+        if explained > 0.5 * min(signal.moving, trajectory.duration):
             break
-    found.sort(key=lambda play: -play.explained)
-    plays: list[Play] = []
-    rivals: list[Play] = []
-    for play in found:
-        overlaps = any(_overlap(play, other) for other in plays)
-        (plays if _is_play(play) and not overlaps else rivals).append(play)
-    best = plays[:1]
-    rivals = [one for one in rivals if not best or _overlap(one, best[0])]
-    rival = max(rivals, key=lambda one: one.explained, default=None)
-    ambiguous = bool(best and rival and rival.explained >= _RIVAL * best[0].explained)
-    return Alignment(tuple(sorted(plays)), rival, ambiguous)
+    return found
+
+
+def _best_places(
+    signal: _Signal, trajectory: Trajectory, speeds: Sequence[float], pairs: int
+) -> list[Play]:
+    """What is most similar to the motion at some speeds, each place once."""
+    places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
+    places.sort(key=lambda place: -place.score)
+    found: list[Play] = []
+    for place in places[:_CANDIDATES]:
+        if place.score < _WORTH * places[0].score:
+            break
+        play = _refined(signal, trajectory, place)
+        if play is not None and not any(_is_same(play, other) for other in found):
+            found.append(play)
+    return found
+
+
+def _distinct(plays: Iterable[Play]) -> list[Play]:
+    """Of plays at the same time the best, best first."""
+    found: list[Play] = []
+    for play in sorted(plays, key=lambda play: -play.explained):
+        if not any(_overlap(play, other) for other in found):
+            found.append(play)
+    return found
 
 
 def _is_play(play: Play) -> bool:
@@ -172,7 +205,9 @@ class _Signal:
         grid: (T,) s, `_RATE` a second.
         dq: (T, 29) rad/s at it.
         known: (T,) whether samples are near.
+        free: (T,) whether no play has been found there.
         moving: s in which the joints move.
+        joints: (29,) which joints move then.
     """
 
     def __init__(self, times: Floats, q: Floats) -> None:
@@ -187,8 +222,15 @@ class _Signal:
         gap = times[after] - times[after - 1]
         self.known = gap <= max(MAX_GAP_NS / 1e9, 3.0 * float(np.median(np.diff(times))))
         self.dq[~self.known] = 0.0
-        moves = np.sqrt(np.square(self.dq).mean(axis=1)) > _REST
+        self.free = np.ones(len(self.grid), dtype=bool)
+        moves = rms(self.dq.T) > _REST
         self.moving = float(moves.sum() / _RATE)
+        self.joints = rms(self.dq[moves]) > _JOINT_RESTS if moves.any() else q[0] > np.inf
+
+    def set_aside(self, play: Play) -> None:
+        """Look for the motion elsewhere from now on."""
+        start, end = play.span
+        self.free[(self.grid >= start) & (self.grid <= end)] = False
 
 
 def _extended(at: Floats, times: Floats, total: Floats, q: Floats) -> Floats:
@@ -222,7 +264,7 @@ def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) ->
     if length < 2 or len(signal.grid) < 2 * length:
         return
     dq = _velocities(trajectory.sample_joints(at)[0])
-    moving = (rms(signal.dq) > _JOINT_RESTS) & (rms(dq) > 0.0)
+    moving = signal.joints & (rms(dq) > 0.0)
     if not moving.any() or len(dq) < length:
         return
     n_motion = len(dq) - length + 1
@@ -260,7 +302,7 @@ def _windows(
     """The first rows of windows of the recording in which something moves, evenly spread."""
     speed = np.sqrt(np.square(signal.dq[:, moving]).mean(axis=1))
     total = np.concatenate([[0.0], np.cumsum(speed)])
-    known = np.concatenate([[0], np.cumsum(signal.known)])
+    known = np.concatenate([[0], np.cumsum(signal.known & signal.free)])
     starts = np.arange(len(speed) - length + 1)
     moves = (total[starts + length] - total[starts]) / length > _REST
     rows = starts[moves & (known[starts + length] - known[starts] == length)]
@@ -284,7 +326,7 @@ def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play | N
     movement; the longer the span, the more exactly it is known.
     """
     start, speed, span = place.start, place.speed, _FIRST_SPAN
-    joints = rms(signal.dq) > _JOINT_RESTS
+    joints = signal.joints
     whole = False
     while not whole:
         whole = span * speed > trajectory.duration
@@ -367,6 +409,8 @@ def _measure(signal: _Signal, trajectory: Trajectory, start: float, speed: float
         return None
     ours, theirs, at = ours[followed], theirs[followed], at[followed]
     joints = _following(ours, theirs)
+    if not joints.any():
+        return None
     similarity = (ours * theirs)[:, joints].sum() / np.sqrt(
         np.square(ours[:, joints]).sum() * np.square(theirs[:, joints]).sum() + 1e-12
     )
@@ -404,7 +448,7 @@ def _following(ours: Floats, theirs: Floats) -> NDArray[np.bool_]:
     total, other = np.square(ours).sum(axis=0), np.square(theirs).sum(axis=0)
     correlation = (ours * theirs).sum(axis=0) / np.sqrt(total * other + 1e-12)
     rests = np.maximum(total, other) < _JOINT_RESTS**2 * len(ours)
-    return np.asarray(rests | (correlation > _EXPLAINED))
+    return np.asarray(rests | (correlation > _FOLLOWS))
 
 
 def _errors(

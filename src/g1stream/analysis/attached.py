@@ -11,9 +11,16 @@ from g1stream.dds.messages import REFERENCE, encode_samples, played_bits
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.input_limits import NUMBER
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.rotations import is_unit, quat_from_yaw, quat_mul, quat_rotate, yaw_of
-from g1stream.session.records import AttachedInfo, MotionInfo, StreamSummary, read_record
+from g1stream.session.records import (
+    AttachedBy,
+    AttachedInfo,
+    MotionInfo,
+    SessionInfo,
+    StreamSummary,
+    read_record,
+)
 from g1stream.session.source import ExtendedSource, MemorySource
 from g1stream.session.streams import (
     ArmCommandStream,
@@ -27,6 +34,8 @@ from g1stream.text import counted
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from g1stream.analysis.alignment import Alignment, Play
@@ -34,44 +43,88 @@ if TYPE_CHECKING:
     from g1stream.motion.spline import TrajectoryPoint
     from g1stream.session.recording import Recording
 
-__all__ = ["encode_references", "with_motion"]
+__all__ = ["Found", "Recorded", "encode_references", "find_motion", "with_motion"]
 
 #: References a second of the session, Hz.
 _RATE: Final = 500
-#: What is compared with the motion, in words.
-_COMPARED: Final[dict[type[CommandStream | MeasuredStream], str]] = {
-    CommandStream: "commands",
-    ArmCommandStream: "arm commands",
-    MeasuredStream: "measured joints",
-}
-#: A pelvis that goes less far has not moved, m.
-_MOVED: Final = 0.05
 #: Commands carry the motion where they are nearer to it than the robot is, by this factor, or that
 #: near, rad: the next of 30 frames a second is off by 0.011 rad in a dance.
 _NEARER: Final = 0.5
 _EXACT: Final = 0.03
+#: A pelvis that goes less far has not moved, m.
+_MOVED: Final = 0.05
 
 
-class _Found(NamedTuple):
-    """Where the motion is in a stream, whose first sample is at `zero` ns."""
+class Recorded(NamedTuple):
+    """What is compared with a motion.
 
-    by: str
+    Attributes:
+        by: what it is.
+        published: (N,) ns.
+        q: (N, 29) rad, motor order: targets, or measured positions.
+    """
+
+    by: AttachedBy
+    published: Ints
+    q: Floats
+
+
+class Found(NamedTuple):
+    """Where a motion is in what was recorded; times of its plays are s after `zero`, ns."""
+
+    by: AttachedBy
     zero: int
     alignment: Alignment
+
+    @property
+    def distance(self) -> float:
+        """rad, by which the best play is off; infinite without one."""
+        return self.alignment.best.rmse if self.alignment.best else float("inf")
+
+
+def find_motion(
+    recorded: Sequence[Recorded], trajectory: Trajectory, *, any_speed: bool = True
+) -> Found | None:
+    """Where a motion is, by what tells it best; None where nothing can tell.
+
+    Commands tell, where they carry joint targets of the motion, else measured joints. Targets of a
+    learned policy are there for their torques: they are no nearer to the motion than the robot.
+
+    Args:
+        recorded: by commands first.
+        trajectory: the motion.
+        any_speed: as of `find_plays`.
+    """
+    found = []
+    for by, published, q in recorded:
+        sane = np.flatnonzero((np.abs(q) < NUMBER).all(axis=1))
+        _, once = np.unique(published[sane], return_index=True)
+        rows = sane[once]
+        if len(rows):
+            zero = int(published[rows[0]])
+            times = (published[rows] - zero) / 1e9
+            plays = find_plays(times, q[rows], trajectory, any_speed=any_speed)
+            found.append(Found(by, zero, plays))
+    if not found:
+        return None
+    first, last = found[0], found[-1]
+    if first.distance < max(_NEARER * last.distance, _EXACT):
+        return first
+    return min(found, key=lambda one: one.distance)
 
 
 def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSource:
     """The session with a reference: the motion, found by the joints that were recorded.
 
-    Commands tell when it was played, where they carry joint targets of it, else measured joints.
-    References are 500 a second. Their publish times are those of the motion on the recorder's
-    clock; log times are the same. Joints that do not follow count as not played: of commands each,
-    of measured joints only a whole limb. Heading and place of the reference are those of the
-    measured pelvis when it begins, as far as these are known; its height is the motion's.
+    References are 500 a second, from the first to the last frame that was played. Their publish
+    times are those of the motion on the clock of the state, their log times on the recorder's.
+    Joints that do not follow count as not played: of commands each, of measured joints only a whole
+    limb, as a single one may be stuck. Heading and place of the reference are those of the measured
+    pelvis when it begins, as far as these are known; its height is the motion's.
 
     Args:
         session: without a reference.
-        motion: what was played, or a part of it.
+        motion: what was played, or more than that.
         play: which time, from 1, where it was played several times.
 
     Raises:
@@ -85,9 +138,14 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
             "Use it as it is, or give a session that was recorded without one.",
         )
     trajectory = Trajectory(motion)
-    found = _find(session, trajectory)
-    plays, rival = found.alignment.plays, found.alignment.rival
-    if not plays:
+    found = find_motion(list(_recorded(session)), trajectory)
+    if found is None:
+        raise RecordingError(
+            f"{session.path} has neither commands nor states to compare with a motion.",
+            "Record rt/lowcmd or rt/lowstate.",
+        )
+    plays, best, rival, ambiguous = found.alignment
+    if best is None:
         near = (
             f" The nearest is {rival.seconds:.1f} s from {rival.first:.1f} s on, with a similarity "
             f"of {rival.similarity:.2f}."
@@ -98,12 +156,12 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
             f"{motion.name} was not played in {session.path}, by its {found.by}.{near}",
             "Give the motion that was played; at least some 3 s of it must be in the session.",
         )
-    if found.alignment.ambiguous and rival:
+    if ambiguous and rival:
         raise RecordingError(
             f"It cannot be told what of {motion.name} was played in {session.path}: from "
-            f"{plays[0].first:.1f} s on it is similar by {plays[0].similarity:.2f}, from "
+            f"{best.first:.1f} s on it is similar by {best.similarity:.2f}, from "
             f"{rival.first:.1f} s on by {rival.similarity:.2f}.",
-            "Give only the part of the motion that was played (--trim), or a longer session.",
+            "Give only the part that was played: g1stream attach --trim A:B.",
         )
     if not 1 <= play <= len(plays):
         raise ConfigError(
@@ -112,9 +170,12 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
             f"Give a number from 1 to {len(plays)}.",
         )
     chosen = plays[play - 1]
+    preview, seconds, published = _reference_times(session, found, chosen)
+    point = trajectory.sample_many(chosen.speed * seconds)
+    pelvis = _pelvis(session, point, published)
     info = AttachedInfo(
         by=found.by,
-        start_s=chosen.start,
+        start_s=chosen.start + preview,
         speed=chosen.speed,
         first_s=chosen.first,
         last_s=chosen.last,
@@ -123,79 +184,55 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
         rival=rival.similarity if rival else None,
         play=play,
         plays=len(plays),
-        starts_s=[one.start for one in plays],
+        starts_s=[one.span[0] + preview for one in plays],
+        heading_from=pelvis.heading_from,
+        place_from=pelvis.place_from,
+        moves=pelvis.moves,
     )
-    added = MemorySource()
-    start = found.zero + round(chosen.start * 1e9)
-    _write_references(added, session, trajectory, chosen, start, info)
-    of_motion = MotionInfo.from_motion(motion)
+    added, of_motion = MemorySource(), MotionInfo.from_motion(motion)
+    played = _played(session, chosen, info)
+    at = chosen.speed * seconds
+    samples = encode_references(point, at, chosen.speed, played, pelvis.turn, pelvis.place)
+    told = session.measured.clock_offset if session.topics.get(MeasuredStream.topic) else 0
+    added.write_batch(ReferenceStream.topic, samples, published, published - told)
     added.add_metadata(
         {
             "attached": info.model_dump(mode="json"),
             "motion": of_motion.model_dump(mode="json", exclude_unset=True),
         }
     )
-    attach_motion(added, of_motion, start)
+    attach_motion(added, of_motion, int(published[0]))
     return ExtendedSource(session.source, added)
 
 
-def _find(session: Recording, trajectory: Trajectory) -> _Found:
-    """Where the motion is in the session, by what tells it best."""
-    found = []
-    for kind, by in _COMPARED.items():
+def _recorded(session: Recording) -> Iterator[Recorded]:
+    """What a session has to compare with a motion, on the recorder's clock."""
+    kinds: dict[AttachedBy, type[CommandStream | MeasuredStream]] = {
+        "commands": CommandStream,
+        "arm commands": ArmCommandStream,
+        "measured joints": MeasuredStream,
+    }
+    for by, kind in kinds.items():
         if not session.topics.get(kind.topic):
             continue
         stream = session.stream(kind)
+        # Without gains, commands are torques.
         if isinstance(stream, CommandStream) and (stream.read("kp").kp == 0.0).all():
-            continue  # torques without targets
-        q = stream.read("q").q
-        published = stream.published
-        sane = np.flatnonzero((np.abs(q) < NUMBER).all(axis=1))
-        _, first = np.unique(published[sane], return_index=True)
-        rows = sane[first]
-        if len(rows) < 2:
             continue
-        zero = int(published[rows[0]])
-        times = (published[rows] - zero) / 1e9
-        found.append(_Found(by, zero, find_plays(times, q[rows], trajectory)))
-    if not found:
-        raise RecordingError(
-            f"{session.path} has neither commands nor states to compare with a motion.",
-            "Record rt/lowcmd or rt/lowstate.",
-        )
-    best = min(found, key=_distance)
-    # The robot is never nearer to the motion than the targets that it is given, unless they are
-    # there for their torques, as those of a learned policy.
-    by_command, by_robot = _distance(found[0]), _distance(found[-1])
-    return found[0] if by_command < max(_NEARER * by_robot, _EXACT) else best
+        yield Recorded(by, stream.published, stream.read("q").q)
 
 
-def _distance(found: _Found) -> float:
-    """rad, by which the best play is off; infinite without one."""
-    plays = found.alignment.plays
-    return max(plays, key=lambda one: one.explained).rmse if plays else float("inf")
-
-
-def _write_references(
-    added: MemorySource,
-    session: Recording,
-    trajectory: Trajectory,
-    play: Play,
-    start: int,
-    info: AttachedInfo,
-) -> None:
-    """Write the references of a play whose first frame is at `start` ns; complete `info`."""
+def _reference_times(session: Recording, found: Found, play: Play) -> tuple[float, Floats, Ints]:
+    """By how much commands were ahead, s; times of references (N,) s after the motion's first
+    frame, and when they are published, (N,) ns on the recorder's clock.
+    """  # noqa: D205
     stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
+    ahead = found.by != "measured joints" and stream and stream.preview_s
+    preview = float(ahead or 0.0)
     first, last = play.first / play.speed, play.last / play.speed
     seconds = first + np.arange(int((last - first) * _RATE + 1e-6) + 1) / _RATE
-    at = play.speed * seconds
-    published = start + np.round(seconds * 1e9).astype(np.int64)
-    if not info.by_robot and stream and stream.preview_s:
-        published += round(stream.preview_s * 1e9)
-    point = trajectory.sample_many(at)
-    turn, place = _heading_and_place(session, point, published, info)
-    samples = encode_references(point, at, play.speed, _played(play, info), turn, place)
-    added.write_batch(ReferenceStream.topic, samples, published, published)
+    start = found.zero + round((play.start + preview) * 1e9)
+    return preview, seconds, start + np.round(seconds * 1e9).astype(np.int64)
 
 
 def encode_references(
@@ -232,50 +269,49 @@ def encode_references(
     return encode_samples(REFERENCE, values, len(at))
 
 
-def _played(play: Play, info: AttachedInfo) -> NDArray[np.bool_]:
+def _played(session: Recording, play: Play, info: AttachedInfo) -> NDArray[np.bool_]:
     """(29,) which joints count as played."""
-    if not info.by_robot:
-        return play.joints
-    # A joint that does not follow may be one that is stuck.
     played = play.joints.copy()
-    for joints in JOINT_GROUPS.values():
-        played[list(joints)] = play.joints[list(joints)].any()
+    if info.by_robot:
+        for joints in JOINT_GROUPS.values():
+            played[list(joints)] = play.joints[list(joints)].any()
+    known, _ = read_record(SessionInfo, session.metadata)
+    played[[JOINT_NAMES.index(name) for name in (known.absent if known else [])]] = False
     return np.asarray(played)
 
 
-def _heading_and_place(
-    session: Recording, point: TrajectoryPoint, published: Ints, info: AttachedInfo
-) -> tuple[Floats, Floats]:
-    """How to move N points of the motion so that the first is where the pelvis was then.
+class _Pelvis(NamedTuple):
+    """Where the reference begins: turn (4,) wxyz about the vertical, and place (3,), m."""
 
-    Completes `info`.
+    turn: Floats
+    place: Floats
+    heading_from: str
+    place_from: str
+    moves: bool
 
-    Returns:
-        The turn (4,) wxyz about the vertical through the first point, and where that is, (3,) m.
-    """
+
+def _pelvis(session: Recording, point: TrajectoryPoint, published: Ints) -> _Pelvis:
+    """How to move N points of the motion so that the first is where the pelvis was then."""
     turn, place = quat_from_yaw(0.0), point.root_pos[0].copy()
+    heading_from, place_from, moves = "none", "none", False
     if session.topics.get(MeasuredStream.topic):
         state = session.measured
         quats = state.read("imu_quat_wxyz").imu_quat_wxyz
         valid = np.flatnonzero(is_unit(quats))
         if len(valid):
-            near = valid[_nearest(state.published[valid], published[0])]
-            info.heading_from = "imu"
+            near = valid[np.abs(state.published[valid] - published[0]).argmin()]
+            heading_from = "imu"
             turn = quat_from_yaw(float(yaw_of(quats[near]) - yaw_of(point.root_quat_wxyz[0])))
     if session.topics.get(BaseStream.topic):
         base = session.stream(BaseStream)
         position = base.read("position").position
         sane = np.flatnonzero((np.abs(position) < NUMBER).all(axis=1))
         if len(sane):
-            times = base.published[sane]
-            info.place_from = "sportmodestate"
-            place[:2] = position[sane[_nearest(times, published[0])], :2]
-            played = position[sane[(times >= published[0]) & (times <= published[-1])]]
+            times, position = base.published[sane], position[sane]
+            place_from = "sportmodestate"
+            place[:2] = position[np.abs(times - published[0]).argmin(), :2]
+            played = position[(times >= published[0]) & (times <= published[-1])]
             if len(played):
                 way, asked = (np.ptp(one[:, :2], axis=0).max() for one in (played, point.root_pos))
-                info.moves = bool(way > max(_MOVED, 0.5 * asked))
-    return turn, place
-
-
-def _nearest(times: Ints, at: np.int64) -> int:
-    return int(np.abs(times - at).argmin())
+                moves = bool(way > max(_MOVED, 0.5 * asked))
+    return _Pelvis(turn, place, heading_from, place_from, moves)

@@ -245,7 +245,9 @@ def tracking(session: Recording) -> Tracking:
     reason = f"it has no messages on {' and '.join(absent)}"
     if not absent:
         reference = session.reference.read("motion_time", "phase", "played", "q")
-        if found := compare(reference, session.measured.read("q")):
+        attached = session.attached
+        delay_known = attached is None or not attached.by_robot
+        if found := compare(reference, session.measured.read("q"), delay_known=delay_known):
             return found
         reason = f"no {MeasuredStream.topic} was published in PLAY"
     raise NothingToCompareError(
@@ -264,8 +266,12 @@ def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
     return tuple(JOINT_NAMES[joint] for joint in worst[:most])
 
 
-def compare(reference: ReferenceStream, measured: MeasuredStream) -> Tracking | None:
+def compare(
+    reference: ReferenceStream, measured: MeasuredStream, *, delay_known: bool = True
+) -> Tracking | None:
     """Compare each LowState in PLAY with the reference at its publish time; None without one.
+
+    Where the robot itself told when the reference began, no delay of it is known.
 
     The reference between two samples h apart is taken as a straight line; that is off by at most
     h^2 / 8 times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. It is where the
@@ -317,7 +323,7 @@ def compare(reference: ReferenceStream, measured: MeasuredStream) -> Tracking | 
         mean=total / len(states),
         max_abs=largest,
         max_abs_at=motion_time[worst],
-        delays=Delays(seconds, q, state_seconds, done),
+        delays=Delays(seconds, q, state_seconds, done, known=delay_known),
         states=states,
         joints=tuple(np.flatnonzero(played).tolist()),
     )
@@ -375,9 +381,21 @@ class Delays:
         q: (R, J) rad, the reference.
         state_times: (N,) s, rising, of the states that are compared.
         measured: (N, J) rad.
+        known: whether a delay can be known; else it finds none.
     """
 
-    def __init__(self, times: Floats, q: Floats, state_times: Floats, measured: Floats) -> None:
+    def __init__(
+        self,
+        times: Floats,
+        q: Floats,
+        state_times: Floats,
+        measured: Floats,
+        *,
+        known: bool = True,
+    ) -> None:
+        self._moving = np.zeros(q.shape[1], dtype=bool)
+        if not known:
+            return
         first = max(state_times[0], times[0] + _LAGS[-1] * _STEP)
         last = min(state_times[-1], times[-1] + _LAGS[0] * _STEP)
         steps = int((last - first) / _STEP + 1e-9)  # negative where too little was recorded
@@ -385,7 +403,6 @@ class Delays:
         after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
         self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= MAX_GAP_NS / 1e9]
         self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
-        self._moving = np.zeros(q.shape[1], dtype=bool)
         if not len(self._at):
             return
         # Of the reference the grid begins so much earlier that there is a row for each delay.

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.alignment import find_plays
-from g1stream.analysis.attached import encode_references
+from g1stream.analysis.attached import Recorded, encode_references, find_motion
 from g1stream.child_process import Parent, optional_child, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
@@ -36,13 +35,14 @@ from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.view.pipeline import Decimator, MessagePipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from concurrent.futures import Future
 
     from foxglove.websocket import ChannelView, Client
 
-    from g1stream.analysis.alignment import Play
+    from g1stream.analysis.attached import Found
+    from g1stream.dds.messages import Topic
     from g1stream.motion.motion import Motion
+    from g1stream.session.records import AttachedBy
     from g1stream.types import Floats
 
 __all__ = ["FoundReferences", "live"]
@@ -54,11 +54,11 @@ _SEARCH_PERIOD_NS: Final = 3_000_000_000
 _SHOWN: Final = 100
 #: Level of an event in /log.
 _INFO: Final = 2
-#: What tells where it is: commands first.
-_SEARCHED: Final = {
-    LOWCMD.name: (LOWCMD, "motor_cmd.q"),
-    LOWSTATE.name: (LOWSTATE, "motor_state.q"),
-}
+#: What tells where it is, commands first.
+_SEARCHED: Final[tuple[tuple[Topic, str, AttachedBy], ...]] = (
+    (LOWCMD, "motor_cmd.q", "commands"),
+    (LOWSTATE, "motor_state.q", "measured joints"),
+)
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
 
@@ -151,85 +151,87 @@ class FoundReferences:
     """References of a motion that somebody else plays, once it is found in what is received.
 
     Args:
-        motion: that is looked for, in the last half a minute, every few seconds in a thread.
+        motion: that is looked for at its own speed, in the last half a minute, every few seconds in
+            a thread.
     """
 
     def __init__(self, motion: Motion) -> None:
-        self._trajectory = Trajectory(motion)
-        self._name = motion.name
-        self._few = {name: Decimator(_LOOKED_AT) for name in _SEARCHED}
+        self._trajectory, self._name = Trajectory(motion), motion.name
+        self._few = {topic.name: Decimator(_LOOKED_AT) for topic, _, _ in _SEARCHED}
         self._received: dict[str, deque[tuple[int, Floats]]] = {
-            name: deque(maxlen=_SEARCHED_SAMPLES) for name in _SEARCHED
+            topic.name: deque(maxlen=_SEARCHED_SAMPLES) for topic, _, _ in _SEARCHED
         }
-        self._search: Future[tuple[int, Play] | None] | None = None
         self._pool = ThreadPoolExecutor(1)
+        self._search: Future[Found | None] | None = None
         self._next = 0
-        #: When the first frame was played, ns, and what is known of the play; until when, ns, its
-        #: references have been given.
-        self._play: tuple[int, Play] | None = None
-        self._given = 0
+        self._found: Found | None = None
+        self._given = 0  # until when there are references, ns
 
     def add_to(self, batches: dict[str, Batch]) -> None:
         """Take in what was received, and add the references up to it, if none were published."""
-        now = 0
-        for name, (topic, field) in _SEARCHED.items():
-            if batch := batches.get(name):
-                times, received = np.array(batch.publish_times), self._received[name]
-                rows = self._few[name].pick(times)
+        newest: dict[AttachedBy, int] = {}
+        for topic, field, by in _SEARCHED:
+            if batch := batches.get(topic.name):
+                times = np.array(batch.publish_times)
+                rows = self._few[topic.name].pick(times)
                 q = Samples(topic, [batch.data[i] for i in rows])[field].astype(float)
-                received.extend(zip(times[rows].tolist(), q, strict=True))
-                now = max(now, int(times[-1]))
-        self._look(batches, now)
-        if self._play and now and REFERENCE.name not in batches:
+                self._received[topic.name].extend(zip(times[rows].tolist(), q, strict=True))
+                newest[by] = int(times[-1])
+        if not newest:
+            return
+        self._look(max(newest.values()), batches)
+        now = newest.get(self._found.by, 0) if self._found else 0
+        if now and REFERENCE.name not in batches:
             references = self._references(now)
             if references.data:
                 batches[REFERENCE.name] = references
+        self._given = now or self._given
 
     @property
     def searched(self) -> bool:
         """Whether no search is going on."""
         return self._search is None or self._search.done()
 
-    def _look(self, batches: dict[str, Batch], now: int) -> None:
+    def _look(self, now: int, batches: dict[str, Batch]) -> None:
+        """Begin a search where it is time, and take what one has found."""
         if self._search and self.searched:
-            if (found := self._search.result()) and self._play is None:
-                self._tell(batches, now, f"{self._name} was found at {found[1].last:.1f} s of it")
-                self._given = now
-            self._play, self._search = found or self._play, None
+            found = self._search.result()
+            if found and found.alignment.best and not found.alignment.ambiguous:
+                if self._found is None:
+                    batch = batches.setdefault(LOG.name, Batch())
+                    batch.data.append(self._event(found.alignment.plays[-1].last))
+                    batch.publish_times.append(now)
+                    batch.log_times.append(now)
+                self._found = found
+            self._search = None
         if self._search is None and now > self._next:
             self._next = now + _SEARCH_PERIOD_NS
-            received = {name: list(one) for name, one in self._received.items()}
-            self._search = self._pool.submit(self._find, received)
+            recorded = [
+                Recorded(by, np.array([t for t, _ in samples]), np.array([q for _, q in samples]))
+                for topic, _, by in _SEARCHED
+                if len(samples := list(self._received[topic.name])) > _LOOKED_AT
+            ]
+            self._search = self._pool.submit(
+                find_motion, recorded, self._trajectory, any_speed=False
+            )
 
-    @staticmethod
-    def _tell(batches: dict[str, Batch], now: int, text: str) -> None:
+    def _event(self, seconds: float) -> bytes:
         event = Log()
-        event.level[()], event.name, event.text = _INFO, "live", text
-        batch = batches.setdefault(LOG.name, Batch())
-        batch.data.append(event.tobytes())
-        batch.publish_times.append(now)
-        batch.log_times.append(now)
-
-    def _find(self, received: Mapping[str, list[tuple[int, Floats]]]) -> tuple[int, Play] | None:
-        """The play that goes on, by commands if they tell it."""
-        for samples in received.values():
-            if len(samples) < _LOOKED_AT:
-                continue
-            zero = samples[0][0]
-            times = np.array([time - zero for time, _ in samples]) / 1e9
-            alignment = find_plays(times, np.array([q for _, q in samples]), self._trajectory)
-            if alignment.plays and not alignment.ambiguous:
-                play = alignment.plays[-1]
-                return zero + round(play.start * 1e9), play
-        return None
+        event.level[()], event.name = _INFO, "live"
+        event.text = f"{self._name} was found at {seconds:.1f} s of it"
+        return event.tobytes()
 
     def _references(self, now: int) -> Batch:
-        start, play = self._play or (0, None)
-        assert play
-        published = np.arange(self._given, now, round(1e9 / _SHOWN))
+        """Those up to `now`, ns, as long as the play that was found last may go on."""
+        assert self._found
+        play = self._found.alignment.plays[-1]
+        start = self._found.zero + round(play.start * 1e9)
+        published = np.arange(self._given or now, now, round(1e9 / _SHOWN))
         at = play.speed * ((published - start) / 1e9)
-        inside = (at >= 0.0) & (at <= self._trajectory.duration)
-        published, at, self._given = published[inside], at[inside], now
+        # A search sees the end of a play two periods later at the latest.
+        until = min(self._trajectory.duration, play.last + 2e-9 * _SEARCH_PERIOD_NS)
+        inside = (at >= 0.0) & (at <= until)
+        published, at = published[inside], at[inside]
         if not len(at):
             return Batch()
         point = self._trajectory.sample_many(at)

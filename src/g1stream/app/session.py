@@ -98,12 +98,16 @@ class Session(Recording):
             play: which time, from 1, where it was played several times.
 
         Raises:
-            RecordingError: the session has a reference already; the motion was not played in it; or
-                several places in the motion are as likely.
+            RecordingError: the session has a reference already, or is a selection; the motion was
+                not played in it; or several places in the motion are as likely.
             ConfigError: it was not played that often.
         """
         from g1stream.analysis.attached import with_motion
 
+        if self.selected:
+            raise RecordingError(
+                "A motion is attached to a whole session.", "Attach it first, then select a part."
+            )
         return Session(with_motion(self, motion, play))
 
     def plot(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,7 +71,7 @@ class Attach(MotionFlags):
             print_lines(_told(info))
         if self.out is not None:
             with showing_progress() as progress:
-                write_attached(session, self.out, force=self.force, progress=partial(progress))
+                write_attached(session, self.out, force=self.force, progress=progress)
             if not self.json:
                 print(self.out)
         return EXIT_OK
@@ -80,9 +79,9 @@ class Attach(MotionFlags):
 
 def _told(info: AttachedInfo) -> str:
     lines = [
-        f"played      {info.first_s:.2f} to {info.last_s:.2f} s of the motion, its first frame "
-        f"{info.start_s:.3f} s",
-        f"            after the first sample, at {info.speed:.4f} of its speed",
+        f"played      {info.first_s:.2f} to {info.last_s:.2f} s of the motion, from "
+        f"{info.starts_s[info.play - 1]:.3f} s after",
+        f"            the first sample on, at {info.speed:.4f} of its speed",
         f"by          {info.by}: similarity {info.similarity:.3f}, RMS difference "
         f"{info.rmse_rad:.4f} rad",
     ]

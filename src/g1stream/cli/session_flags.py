@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import Command
+from g1stream.cli.command import Command, print_warning
 from g1stream.cli.flags import flag
 
 if TYPE_CHECKING:
@@ -39,6 +39,9 @@ class SessionFlags(Command):
         from g1stream.session.streams import ReferenceStream
 
         session = open_session(path)
-        if self.motion is None or session.topics.get(ReferenceStream.topic):
+        if self.motion is None:
+            return session
+        if session.topics.get(ReferenceStream.topic):
+            print_warning(f"{path} has a reference: --motion is not used")
             return session
         return session.attach(load_motion(self.motion))

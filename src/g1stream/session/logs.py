@@ -15,7 +15,7 @@ import numpy as np
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
 from g1stream.errors import RecordingError
 from g1stream.files import begins_with, read_file
-from g1stream.input_limits import UNPACKED
+from g1stream.input_limits import LATEST_NS, UNPACKED
 from g1stream.motion.readers import MotionFile
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -40,20 +40,23 @@ __all__ = ["open_source"]
 _EPOCH: Final = 946_684_800_000_000_000
 #: Lowest time since the epoch in each unit, and what makes ns of it: about 2001 on.
 _SINCE_EPOCH: Final = ((1e18, 1.0), (1e15, 1e3), (1e12, 1e6), (1e9, 1e9))
+_LEAST_NS: Final = 1e18
 #: Longest usual interval of a log in each unit, where its times count from elsewhere.
 _INTERVALS: Final = ((0.2, 1e9), (2e2, 1e6), (2e5, 1e3), (np.inf, 1.0))
 _UNITS: Final = {"s": 1e9, "sec": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 _TIME_WORDS: Final = {"t", "time", "timestamp", "stamp"}
 #: Words in names of columns, by quantity.
 _COMMAND: Final = {
-    *("cmd", "command", "target", "targets", "des", "desired", "ref", "reference", "action"),
-    *("act", "goal", "setpoint"),
+    *("cmd", "lowcmd", "command", "target", "targets", "des", "desired", "ref", "reference"),
+    *("action", "act", "goal", "setpoint"),
 }
 _VELOCITY: Final = {"dq", "qd", "vel", "velocity", "qvel"}
 _TORQUE: Final = {"tau", "torque", "effort"}
-_POSITION: Final = {
-    *("q", "pos", "position", "joint", "joints", "angle", "qpos", "motor", "state", "body"),
-    *("measured", "actual", "dof", "est", "estimated"),
+_POSITION: Final = {"q", "pos", "position", "angle", "qpos"}
+#: Words that say nothing of the quantity.
+_NEUTRAL: Final = {
+    *("", "joint", "joints", "motor", "state", "states", "lowstate", "body", "dof", "rt"),
+    *("measured", "actual", "est", "estimated"),
 }
 _AXES: Final = {
     "quat": re.compile(r"(?:(?:base|imu|root|pelvis)_)?(?:q|quat|quaternion|rot)_?([wxyz])"),
@@ -102,8 +105,12 @@ def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
     values = {"q": poses.q}
     if poses.pelvis_known:
         values |= {"quat": poses.root_quat_wxyz, "pos": poses.root_pos}
+    log.unread, log.complete = recorded.unread, not recorded.unread
     used = recorded.evidence.used
-    _write(log, poses.times, values, {"made of": used["file"], "joint order": used["joint order"]})
+    told = {"made of": used["file"], "joint order": used["joint order"]}
+    if poses.warnings:
+        told["warnings"] = " ".join(poses.warnings)
+    _write(log, poses.times, values, told)
     return log
 
 
@@ -134,6 +141,11 @@ def _csv_log(path: Path) -> MemorySource:
         raise RecordingError(
             f"{path} has no column with the position of a joint.",
             f"Name columns by joint, such as q.{JOINT_NAMES[3]}, or q_0 to q_28 in motor order.",
+        )
+    if joints[0] and joints[-1] == N_JOINTS:
+        raise RecordingError(
+            f"The joints in {path} are counted from 1.",
+            f"Count them from 0, in motor order, or name them, such as {JOINT_NAMES[3]}.",
         )
     times = columns[_Column("q", joints[0])][0]
     values = {}
@@ -203,6 +215,8 @@ def _read_table(file: Path) -> tuple[list[str], Floats]:
         raise RecordingError(f"{file} cannot be read: {error.strerror}.", "Check it.") from error
     header, _, rows = text.partition("\n")
     names = [name.strip().strip("\"'") for name in header.split(",")]
+    if not rows.strip():
+        raise RecordingError(f"{file} has no rows.", "Give a CSV log with a header line.")
     try:
         table = np.loadtxt(rows.splitlines(), delimiter=",", ndmin=2)
     except ValueError as error:
@@ -223,15 +237,20 @@ def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
     """Times (N,) of the rows, ns since the epoch, and what they were made of."""
     for name, values in zip(names, table.T, strict=True):
         words = _words(name)
-        if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():
+        if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():  # nor are nan
             continue
-        since = next((factor for least, factor in _SINCE_EPOCH if values[0] >= least), None)
-        unit = next((_UNITS[word] for word in reversed(words) if word in _UNITS), None)
-        usual = float(np.median(np.diff(values)))
-        factor = since or unit or next(one for most, one in _INTERVALS if usual <= most)
-        assumed = "" if unit else ", unit assumed by its size"
-        assumed += "" if since else ", counted from 2000-01-01 UTC"
-        start = round(values[0] * factor) if since else _EPOCH
+        factor = next((_UNITS[word] for word in reversed(words) if word in _UNITS), None)
+        assumed = "" if factor else ", unit assumed by its size"
+        if factor is None:
+            usual = float(np.median(np.diff(values)))
+            by_size = (one for least, one in _SINCE_EPOCH if values[0] >= least)
+            by_step = (one for most, one in _INTERVALS if usual <= most)
+            factor = next(by_size, None) or next(by_step)
+        if not abs(values[0] * factor) + (values[-1] - values[0]) * factor < LATEST_NS:
+            continue
+        since_epoch = values[0] * factor >= _LEAST_NS
+        assumed += "" if since_epoch else ", counted from 2000-01-01 UTC"
+        start = round(values[0] * factor) if since_epoch else _EPOCH
         times = start + np.round((values - values[0]) * factor).astype(np.int64)
         if (np.diff(times) > 0).all():
             return times, f"column {name}, in units of {factor:g} ns{assumed}"
@@ -250,22 +269,23 @@ def _column(name: str, of: str) -> _Column | None:
             axes = "wxyz" if quantity == "quat" else "xyz"
             return _Column(quantity, axes.index(found[1]))
     joint = next(((joint, i) for joint, i in _JOINTS if joint in text), None)
+    numbers = [word for word in words if word.isdigit()]
     if joint:
-        index, rest = joint[1], text.replace(joint[0], "")
-    elif found := re.fullmatch(r"(.*?)_?(\d+)", text):
-        index, rest = int(found[2]), found[1]
+        number, rest = joint[1], text.replace(joint[0], "")
+    elif len(numbers) == 1 and int(numbers[0]) <= N_JOINTS:
+        number, rest = int(numbers[0]), "_".join(word for word in words if not word.isdigit())
     else:
         return None
-    about = {*rest.split("_"), *of.split("_")} - {"", "motor"}
-    if index >= N_JOINTS or (not joint and not about):
+    about = {*rest.split("_"), *of.split("_")} - _NEUTRAL
+    if not joint and not about:
         return None
     unknown = about - _COMMAND - _VELOCITY - _TORQUE - _POSITION
     command, velocity, torque = (bool(about & one) for one in (_COMMAND, _VELOCITY, _TORQUE))
     if unknown or (command and (velocity or torque)) or (velocity and torque):
         return None
     quantity = "command" if command else "dq" if velocity else "tau" if torque else "q"
-    return _Column(quantity, index)
+    return _Column(quantity, number)
 
 
 def _words(name: str) -> list[str]:
-    return [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word]
+    return re.findall(r"[a-z]+|[0-9]+", name.lower())

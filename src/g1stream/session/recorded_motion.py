@@ -138,6 +138,9 @@ class RecordedMotion:
         file: the recording; without `fps` the motion has the rate of its joint states.
         files: its parts, in order.
         decoders: of the messages that it may have.
+
+    Attributes:
+        unread: bytes at the ends of the files that are no whole record.
     """
 
     def __init__(
@@ -146,7 +149,7 @@ class RecordedMotion:
         self._path, self._fps, self._files = file.path, file.fps, files
         self._decode_joints, self._decode_transforms = decoders
         self._types = {topic: kind for file in files for topic, kind in file.types.items()}
-        self._unread = sum(file.unread for file in files)
+        self.unread = sum(file.unread for file in files)
         self._counts = sum((file.counts for file in files), Counter[str]())
 
     @property
@@ -222,8 +225,8 @@ class RecordedMotion:
             root_pos, quat = pose.at(times, without_steps(pose.clocks[clock], steps))
             furthest = f"transform {int(np.argmax(np.abs(pose.norms - 1.0)))}"
             warnings += [f"{name}: {text}" for text in norm_warning(pose.norms, furthest)]
-        if self._unread:
-            lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"
+        if self.unread:
+            lost = f"the last {counted(self.unread, 'byte')} of {self._path} are no whole record"
             warnings.append(f"{lost}, and not read")
         return RecordedPoses(times, q, root_pos, quat, pose is not None, tuple(warnings))
 

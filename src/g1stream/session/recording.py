@@ -151,6 +151,11 @@ class Recording:
         return f"<{type(self).__name__} {str(self.path)!r}: {counts}{whole}>"
 
     @property
+    def selected(self) -> bool:
+        """Whether it is a part of another, by `sel`."""
+        return self._whole is not None
+
+    @property
     def converted(self) -> bool:
         """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
         return bool(

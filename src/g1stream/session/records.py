@@ -7,7 +7,7 @@ None stands for what is not known; units are part of the names.
 from __future__ import annotations
 
 from itertools import accumulate
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -201,12 +201,16 @@ class PolicyInfo(Record):
         return {name: slice(end - size, end) for (name, size), end in zip(sizes, ends, strict=True)}
 
 
+AttachedBy = Literal["commands", "arm commands", "measured joints"]
+"""What tells when a motion was played."""
+
+
 class AttachedInfo(Record):
     """Where a motion was found in a session that was recorded without a reference.
 
     Attributes:
-        by: what was compared with the motion: commands, arm commands, or measured joints, of which
-            a robot that is late cannot be told from a motion that began later.
+        by: what was compared with the motion. By measured joints a robot that is late cannot be
+            told from a motion that began later.
         start_s: when the motion's first frame was or would have been played, after the first sample
             of what was compared.
         speed: seconds of the motion in a second of the session.
@@ -216,14 +220,14 @@ class AttachedInfo(Record):
         rival: similarity of the second best place in the motion; None where no other is similar.
         play, plays: which time it is that the motion was played in the session, from 1, and how
             often it was.
-        starts_s: when each of them began, as `start_s`.
+        starts_s: when each of them began, with the part that was played, after the first sample.
         heading_from: of the reference: imu, or none, where it is the motion's own.
         place_from: of the reference: sportmodestate, or none, likewise.
         moves: whether the measured pelvis went about as far as the motion's, which tells that the
             robot was not held.
     """
 
-    by: str = ""
+    by: AttachedBy = "commands"
     start_s: float = 0.0
     speed: float = 1.0
     first_s: float = 0.0

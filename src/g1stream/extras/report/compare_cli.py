@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from g1stream.app.session import Session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +76,9 @@ class Compare(SessionFlags):
                 "Give two or more on each side.",
             )
         with showing_progress() as progress:
-            sides = ([self.open(path) for path in side] for side in (self.base, self.other))
+            sides: list[list[Session | Path]] = [[*self.base], [*self.other]]
+            if self.motion is not None:  # else each is opened and let go in its turn
+                sides = [[self.open(path) for path in side] for side in (self.base, self.other)]
             comparison = compare(*sides, page=self.out, force=self.force, progress=progress)
         other, base = comparison.named()
         truths = [one.holds(other.get(one.name), base.get(one.name)) for one in conditions]

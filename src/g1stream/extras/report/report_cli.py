@@ -48,7 +48,7 @@ class Report(SessionFlags):
             raise ConfigError(
                 "Two of --json, --csv and a page (--out) are asked for.", "Ask for one of them."
             )
-        sessions = [self.open(path) for path in self.sessions]
+        sessions = map(self.open, self.sessions)  # one after the other: each may be large
         if self.csv:
             print(to_csv(sessions), end="")
             return EXIT_OK

@@ -90,7 +90,9 @@ def errors(cases: list[tuple[Session, Motion, int, float]]) -> dict[str, Any]:
         info = attached.attached
         assert info
         found += 1
-        starts.append(abs(attached.start_ns - start_ns) / 1e6)
+        reference = attached.reference
+        first_frame = reference.published[0] - reference.motion_time[0] / info.speed * 1e9
+        starts.append(abs(float(first_frame - start_ns)) / 1e6)
         speeds.append(abs(info.speed / speed - 1.0) * 100.0)
         similar.append(info.similarity)
     return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -13,7 +14,7 @@ from g1stream.errors import ConfigError, RecordingError
 from g1stream.input_limits import SMALL_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
     from pathlib import Path
 
     from matplotlib.figure import Figure
@@ -24,6 +25,7 @@ __all__ = [
     "check_not_input",
     "check_output_path",
     "check_suffix",
+    "complete_directory",
     "complete_file",
     "is_session",
     "output_errors",
@@ -204,6 +206,50 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def complete_directory(path: Path, names: Collection[str], *, force: bool) -> Iterator[Path]:
+    """Write a directory of files under a temporary name, and rename it when it is complete.
+
+    On any exception, Ctrl-C included, the temporary directory is removed and `path` stays as it
+    was, or what was there is beside it with the suffix `.old`.
+
+    Args:
+        path: of the directory.
+        names: of the files that it may have; one with others is not replaced.
+        force: whether an existing directory may be replaced.
+
+    Yields:
+        The temporary path, of an empty directory.
+
+    Raises:
+        RecordingError: the path is taken, or cannot be written.
+    """
+    with output_errors(path):
+        check_directory(path.parent)
+        if path.is_symlink() or (path.exists() and not path.is_dir()):
+            raise NotADirectoryError(errno.ENOTDIR, f"{path} is not a directory")
+        if path.exists():
+            if not force:
+                raise FileExistsError
+            if others := sorted({one.name for one in path.iterdir()} - set(names)):
+                raise RecordingError(
+                    f"{path} is not replaced, as it has other files: {others[0]}.",
+                    "Choose another path, or move these away.",
+                )
+    temporary, old = temporary_path(path), path.with_name(f".{path.name}.{os.getpid()}.old")
+    try:
+        with output_errors(path):
+            shutil.rmtree(temporary, ignore_errors=True)  # left by a killed process, same id
+            temporary.mkdir()
+            yield temporary
+            if path.exists():
+                path.rename(old)
+            temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def save_figure(draw: Callable[[], Figure], path: Path, *, force: bool) -> None:

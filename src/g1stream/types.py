@@ -18,11 +18,13 @@ __all__ = [
     "Floats",
     "Ints",
     "JointOrder",
+    "MotionFormat",
     "OnboardMode",
     "OtherJoints",
     "Phase",
     "StreamSupport",
     "Support",
+    "Velocities",
     "Via",
 ]
 
@@ -42,6 +44,13 @@ BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]
 JointOrder = Literal["motor", "isaaclab"]
 """`motor`: that of LowCmd, the URDF and MuJoCo; `isaaclab`: breadth first, as Isaac Sim numbers the
 joints of a tree."""
+
+MotionFormat = Literal["beyondmimic", "mjlab", "holosoma", "sonic", "lafan1", "gmr"]
+"""A format of motion files that other programs read; docs/formats.md says which."""
+
+Velocities = Literal["spline", "finite"]
+"""What the velocities in a motion file are: derivatives of the spline through the frames, as they
+are streamed, or differences between the frames of the file."""
 
 OnboardMode = Literal["ai", "normal", "advanced"]
 """A controller of the robot's own, by its name in the motion service."""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.input_limits import NUMBER, UNPACKED
+from g1stream.input_limits import CSV_LINE, NUMBER, UNPACKED
 from g1stream.motion.csv import read_csv
 from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, norm_warning
 from g1stream.motion.pickles import Unread, read_pickle, read_torch
@@ -40,10 +40,12 @@ if TYPE_CHECKING:
     from g1stream.types import Floats
 
 __all__ = [
+    "SONIC_FILES",
     "ArrayFile",
     "motions_in",
     "names_in_order",
     "open_arrays",
+    "open_sonic",
     "open_table",
     "read_arrays",
 ]
@@ -77,7 +79,7 @@ _QUATS: Final = {
 _BODY_POSITIONS: Final = ("body_pos", "body_positions", "rigid_body_pos")
 _BODY_QUATS: Final = {"body_quat": True, "body_rotations": True, "rigid_body_rot": False}
 #: In the names of arrays that known layouts have and that add nothing to the motion: no warning.
-_NOT_MISSED: Final = ("_vel", "contact", "pose_aa", "smpl", "local_body")
+_NOT_MISSED: Final = ("_vel", "contact", "pose_aa", "smpl", "body_pos", "body_quat")
 #: Arrays of the motions of human body models.
 _HUMAN: Final = {"poses", "pose_aa", "betas"}
 #: Numbers of a pose before the angles, or of an object behind them.
@@ -110,6 +112,20 @@ _TIMES: Final = 10.0
 _EXCESS: Final = 0.02
 #: A frame rate in the name of a file.
 _RATE: Final = re.compile(r"(\d+(?:\.\d+)?)[ _-]?(?:hz|fps)", re.IGNORECASE)
+
+
+#: Of a directory of SONIC: the arrays, and how many numbers a body has in each.
+_SONIC_TABLES: Final = {
+    "joint_pos": 0,
+    "joint_vel": 0,
+    "body_pos": 3,
+    "body_quat": 4,
+    "body_lin_vel": 3,
+    "body_ang_vel": 3,
+}
+SONIC_FILES: Final = (*(f"{name}.csv" for name in _SONIC_TABLES), "metadata.txt", "info.txt")
+"""The files in a directory of SONIC."""
+_SONIC_FPS: Final = 50.0
 
 
 class _Root(NamedTuple):
@@ -544,6 +560,54 @@ def open_arrays(file: MotionFile) -> ArrayFile:
         MotionError: it cannot be read, or has no such motion.
     """
     return ArrayFile(file, *_content(file))
+
+
+def open_sonic(file: MotionFile) -> ArrayFile:
+    """The reader of a directory of SONIC: tables with a header, joints in Isaac Lab's order, 50 Hz.
+
+    Raises:
+        MotionError: a table cannot be read.
+    """
+    arrays: dict[str, Any] = {"joint_names": names_in_order("isaaclab"), "fps": _SONIC_FPS}
+    digest = b""
+    for name in ("joint_pos", "body_pos", "body_quat"):
+        path = file.path / f"{name}.csv"
+        if name != "joint_pos" and not path.exists():
+            continue
+        one = replace(file, path=path)
+        values = _numbers_below_header(one.content, f"{file.path.name}/{path.name}")
+        if width := _SONIC_TABLES[name]:
+            if values.shape[1] % width:
+                raise MotionError(
+                    f"{file.path.name}/{path.name} has {values.shape[1]} columns.",
+                    f"Give it {width} for each body.",
+                )
+            values = values.reshape(len(values), -1, width)
+        arrays[name] = values
+        digest += one.content
+    return ArrayFile(replace(file, data=digest), "directory of SONIC", arrays)
+
+
+def _numbers_below_header(content: bytes, name: str) -> Floats:
+    """The numbers (T, N) of a CSV whose first line names its columns.
+
+    Raises:
+        MotionError: there are none.
+    """
+    header, _, rows = content.partition(b"\n")
+    n_columns = header.count(b",") + 1
+    try:
+        if not rows.strip() or max(map(len, content.split(b"\n"))) > CSV_LINE:
+            raise ValueError
+        values = np.loadtxt(io.BytesIO(rows), delimiter=",", comments=None, ndmin=2)
+        if values.shape[1] != n_columns:
+            raise ValueError
+    except ValueError:
+        raise MotionError(
+            f"{name} is no table of numbers below a header.",
+            "Give every line a number for each column that the first line names.",
+        ) from None
+    return values
 
 
 def motions_in(file: MotionFile) -> tuple[str, ...]:

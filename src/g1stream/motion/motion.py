@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.files import check_not_input, complete_file
 from g1stream.input_limits import NUMBER
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.spline import REACH, Spline
+from g1stream.optional import load_object
 from g1stream.robot.joints import (
     JOINT_NAMES,
     MIRROR_SIGN,
@@ -30,7 +30,6 @@ from g1stream.robot.rotations import (
     quat_mul,
     quat_rotate,
     sign_continuous,
-    xyzw_from_wxyz,
     yaw_of,
 )
 from g1stream.robot.soles import Soles
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.spline import TrajectoryPoint
-    from g1stream.types import Floats
+    from g1stream.types import Floats, MotionFormat, Velocities
 
 __all__ = [
     "DEFAULT_FPS",
@@ -462,52 +461,53 @@ class Motion:
             root_quat_wxyz=repeated.root_quat_wxyz,
         )
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: MotionFormat | None = None,  # noqa: A002
+        velocities: Velocities = "spline",
+        robot: G1 | None = None,
+        force: bool = False,
+    ) -> Path:
+        """Write a file that `load_motion` reads back, ours or that of another program.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
         motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
-        `root_quat_wxyz` of this class, `joint_names` and `fps`.
+        `root_quat_wxyz` of this class, `joint_names` and `fps`. Both are read back to the last bit.
+
+        The formats of other programs have their frame rate, to which the spline of `Trajectory` is
+        sampled, and their orders; docs/formats.md says which.
 
         Args:
-            path: ends in .csv or .npz.
+            path: ends in .csv or .npz; in .pkl for `gmr`, and for `sonic` it is a directory.
+            format: of another program; by the ending of the path if None.
+            velocities: that the formats for training have.
+            robot: whose bodies these have; the default G1 if None.
             force: replace a file that exists.
 
         Raises:
-            MotionError: the path has another ending.
+            ConfigError: the path has another ending than files of the format.
+            MotionError: the path has another ending, or the format cannot hold the motion.
+            RobotError: the format cannot hold the robot.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
         """
         path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix not in MOTION_SUFFIXES:
+        if format is None and path.suffix.lower() not in MOTION_SUFFIXES:
             raise MotionError(
                 f"A motion cannot be saved as {path.name}.",
-                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}.",
+                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}, or a format.",
             )
-        check_not_input(path, self.source)
-        with complete_file(path, force=force) as temporary:
-            if suffix == ".csv":
-                temporary.write_text(self._csv(), encoding="utf-8")
-            else:
-                with temporary.open("wb") as file:
-                    np.savez_compressed(
-                        file,
-                        fps=self.fps,
-                        joint_names=np.array(self.joint_names),
-                        joint_pos=self.joint_pos,
-                        root_pos=self.root_pos,
-                        root_quat_wxyz=self.root_quat_wxyz,
-                    )
+        load_object("g1stream.motion.writers:write_motion")(
+            self,
+            path,
+            format or path.suffix.lower()[1:],
+            robot=robot,
+            velocities=velocities,
+            force=force,
+        )
         return path
-
-    def _csv(self) -> str:
-        """The Foxglove layout, every number with all its digits."""
-        table = [self.root_pos, xyzw_from_wxyz(self.root_quat_wxyz), self.joint_pos]
-        rows = np.concatenate(table, axis=1).tolist()
-        lines = [",".join((*ROOT_COLUMNS, *self.joint_names))]
-        lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
-        return "\n".join(lines) + "\n"
 
     def _changed(self, what: str, **fields: Any) -> Motion:
         """The motion with other fields; `what` says what was done."""

@@ -32,6 +32,7 @@ __all__ = [
     "MotionFile",
     "MotionReader",
     "find_motion",
+    "is_sonic",
     "load_motion",
 ]
 
@@ -191,6 +192,11 @@ def _is_bag(file: MotionFile) -> bool:
     return file.data is None and any(begins_with(file.path, start) for start in starts)
 
 
+def is_sonic(path: Path) -> bool:
+    """Whether it is a directory with the tables of SONIC."""
+    return (path / "joint_pos.csv").is_file()
+
+
 def _is_onnx(file: MotionFile) -> bool:
     return file.data is None and file.path.suffix.lower() == ".onnx"
 
@@ -205,6 +211,11 @@ def _is_table(file: MotionFile) -> bool:
 FORMATS: Final = (
     Format("session or MCAP", "g1stream.session.motions:open_played", _is_recording),
     Format("bag of ROS 2", EXTENSIONS["read_bag"], _is_bag),
+    Format(
+        "directory of SONIC",
+        "g1stream.motion.arrays:open_sonic",
+        lambda file: file.data is None and is_sonic(file.path),
+    ),
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),

@@ -19,7 +19,15 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 
-__all__ = ["BLOCK", "LinkPoses", "forward_kinematics", "local_transforms", "pose_blocks"]
+__all__ = [
+    "BLOCK",
+    "LinkPoses",
+    "LinkVelocities",
+    "forward_kinematics",
+    "link_velocities",
+    "local_transforms",
+    "pose_blocks",
+]
 
 
 BLOCK: Final = 1024
@@ -36,6 +44,18 @@ class LinkPoses(NamedTuple):
 
     pos: Floats
     quat_wxyz: Floats
+
+
+class LinkVelocities(NamedTuple):
+    """Velocities of T frames by L links in the world frame, in the order of `G1.link_names`.
+
+    Attributes:
+        lin: (T, L, 3) m/s, of the origin of the link's frame, or of another point of the link.
+        ang: (T, L, 3) rad/s.
+    """
+
+    lin: Floats
+    ang: Floats
 
 
 def local_transforms(
@@ -85,7 +105,7 @@ def forward_kinematics(
         links: whose poses are wanted, all if None; those of links that carry none of them are NaN.
     """
     n_frames, n_links = _n_frames(robot, joint_pos), len(robot.parent)
-    times, turn = _matrices(robot)
+    times, turn, _ = _matrices(robot)
     half = joint_pos.T[robot.joint_of_link, None] / 2
     half[robot.joint_of_link < 0] = 0.0
     pos, quat = np.empty((n_links, 3, n_frames)), np.empty((n_links, 4, n_frames))
@@ -95,12 +115,51 @@ def forward_kinematics(
     quat[0] = np.broadcast_to(root_quat_wxyz, (n_frames, 4)).T
     for level in robot.levels if links is None else _levels(robot, tuple(links)):
         above, pos_above = quat[robot.parent[level]], pos[robot.parent[level]]
-        products = (above[:, :, None] * above[:, None]).reshape(len(level), 16, n_frames)
-        pos[level] = pos_above + turn[level] @ products
+        pos[level] = pos_above + turn[level] @ _products(above)
         turned = times[level] @ above  # for the joint at 0 and at pi
         cos, sin = np.cos(half[level]), np.sin(half[level])
         quat[level] = cos * turned[:, :4] + sin * turned[:, 4:]
     return LinkPoses(pos.transpose(2, 0, 1), quat.transpose(2, 0, 1))
+
+
+def link_velocities(
+    robot: G1,
+    poses: LinkPoses,
+    joint_vel: Floats,
+    root_lin_vel: Floats,
+    root_ang_vel: Floats,
+    links: Sequence[int] | None = None,
+    points: Floats | None = None,
+) -> LinkVelocities:
+    """Each link's velocity in the world, from the root outwards.
+
+    A link turns with its parent and about its joint, and its origin is a point of its parent.
+
+    Args:
+        robot: the robot.
+        poses: of `forward_kinematics`.
+        joint_vel: (T, 29) rad/s, motor order.
+        root_lin_vel: (T, 3) m/s, of the root's origin, world frame.
+        root_ang_vel: (T, 3) rad/s, world frame.
+        links: as of `forward_kinematics`, and with the same ones as the poses.
+        points: (L, 3) m, in each link's frame, whose linear velocities are wanted; the origins if
+            None.
+    """
+    pos, quat = (part.transpose(1, 2, 0) for part in poses)
+    lin, ang = np.full(pos.shape, np.nan), np.full(pos.shape, np.nan)
+    lin[0], ang[0] = root_lin_vel.T, root_ang_vel.T
+    speed = joint_vel.T[robot.joint_of_link, None]  # of a link without a joint the axis is zero
+    *_, axis = _matrices(robot)
+    levels = robot.levels if links is None else _levels(robot, tuple(links))
+    for level in levels:
+        above = robot.parent[level]
+        ang[level] = ang[above] + (axis[level] @ _products(quat[level])) * speed[level]
+        lin[level] = lin[above] + _cross(ang[above], pos[level] - pos[above])
+    if points is not None:
+        offset = _turning(points)
+        for level in (np.array([0]), *levels):
+            lin[level] += _cross(ang[level], offset[level] @ _products(quat[level]))
+    return LinkVelocities(lin.transpose(2, 0, 1), ang.transpose(2, 0, 1))
 
 
 def pose_blocks(
@@ -138,20 +197,37 @@ def _levels(robot: G1, links: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
-def _matrices(robot: G1) -> tuple[Floats, Floats]:
-    """Of each link, (L, 8, 4) and (L, 3, 16): what is constant in its pose, from its parent's.
+def _matrices(robot: G1) -> tuple[Floats, Floats, Floats]:
+    """Of each link, (L, 8, 4), (L, 3, 16) and (L, 3, 16): what is constant in its pose.
 
-    A quaternion (4,) times a constant one is linear in its components: the two products with what
-    `local_transforms` mixes. A constant vector that it turns is linear in their products (16,).
+    A quaternion (4,) times a constant one is linear in its components: the two products of the
+    parent's with what `local_transforms` mixes. A constant vector that it turns is linear in their
+    products (16,): the link's origin, which the parent's turns, and its axis, which its own turns.
     """
-    unit, zeros = np.eye(4)[:, None], np.zeros((len(robot.parent), 1))
+    unit = np.eye(4)[:, None]
     times = [quat_mul(unit, one) for one in (robot.origin_quat_wxyz, _turned(robot))]
-    offset = np.concatenate([zeros, robot.origin_pos], axis=1)
-    turn = quat_mul(quat_mul(unit[:, None], offset), quat_conj(unit))[..., 1:].reshape(16, -1, 3)
-    return (
-        np.ascontiguousarray(np.concatenate(times, axis=-1).transpose(1, 2, 0)),
-        np.ascontiguousarray(turn.transpose(1, 2, 0)),
-    )
+    mixed = np.ascontiguousarray(np.concatenate(times, axis=-1).transpose(1, 2, 0))
+    return mixed, _turning(robot.origin_pos), _turning(robot.axis)
+
+
+def _turning(vectors: Floats) -> Floats:
+    """Of each vector (L, 3) a matrix (L, 3, 16): times `_products` of a quaternion, it is turned."""
+    unit = np.eye(4)[:, None]
+    pure = np.concatenate([np.zeros((len(vectors), 1)), vectors], axis=1)
+    turned = quat_mul(quat_mul(unit[:, None], pure), quat_conj(unit))[..., 1:]
+    return np.ascontiguousarray(turned.reshape(16, -1, 3).transpose(1, 2, 0))
+
+
+def _products(quat: Floats) -> Floats:
+    """(N, 16, T) the products of two components each of quaternions (N, 4, T)."""
+    products: Floats = (quat[:, :, None] * quat[:, None]).reshape(len(quat), 16, quat.shape[2])
+    return products
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """The cross products (N, 3, T) of vectors (N, 3, T)."""
+    (ax, ay, az), (bx, by, bz) = a.transpose(1, 0, 2), b.transpose(1, 0, 2)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def _n_frames(robot: G1, joint_pos: Floats) -> int:

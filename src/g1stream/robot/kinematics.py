@@ -211,7 +211,7 @@ def _matrices(robot: G1) -> tuple[Floats, Floats, Floats]:
 
 
 def _turning(vectors: Floats) -> Floats:
-    """Of each vector (L, 3) a matrix (L, 3, 16): times `_products` of a quaternion, it is turned."""
+    """(L, 3, 16) matrices: times `_products` of a quaternion, each is its vector (L, 3), turned."""
     unit = np.eye(4)[:, None]
     pure = np.concatenate([np.zeros((len(vectors), 1)), vectors], axis=1)
     turned = quat_mul(quat_mul(unit[:, None], pure), quat_conj(unit))[..., 1:]

@@ -1,4 +1,4 @@
-"""`g1stream convert`: a motion file into a session file, or a session into a ROS 2 bag."""
+"""`g1stream convert`: a motion into a session file or another motion file, a session into a bag."""
 
 from __future__ import annotations
 
@@ -24,14 +24,19 @@ from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
 from g1stream.optional import extension
 from g1stream.text import counted
+from g1stream.types import MotionFormat, Velocities
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
 
 
 #: Flags that go with --ros2, and with a motion file as output, those of the motion aside.
 _OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
 _OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
+_OF_FORMAT: Final = {"files", "to", "velocities", "frames", "urdf", "force", "json"}
 
 
 class _StoppedError(BaseException):
@@ -47,6 +52,10 @@ class Convert(MotionFlags):
 
     An output that ends in .csv or .npz is a motion file again.
 
+    With --to the output is what another program reads, at its frame rate and in its orders:
+    beyondmimic, mjlab and holosoma are NPZ files to train from, sonic is a directory, lafan1 a CSV
+    and gmr a pickle. docs/formats.md says what is in them.
+
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has messages of ROS only.
 
@@ -55,6 +64,8 @@ class Convert(MotionFlags):
       g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
       g1stream convert dance.pkl dance.csv
       g1stream convert wave.csv dance.npz both.npz --blend 1
+      g1stream convert dance.csv motion.npz --to mjlab
+      g1stream convert dance.csv reference/dance --to sonic
       g1stream convert session.mcap session_ros2 --ros2
 
     Exit codes:
@@ -64,9 +75,17 @@ class Convert(MotionFlags):
     """
 
     files: tuple[str, ...] = argument(
-        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 "
-        "the directory.",
+        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 and "
+        "--to sonic the directory, with --to gmr a .pkl.",
         "MOTION... FILE",
+    )
+    to: MotionFormat | None = flag(
+        None, "Write the motion file that another program reads.", shown="a session"
+    )
+    velocities: Velocities = flag(
+        "spline",
+        "With --to: velocities are derivatives of the spline that is streamed, or differences of "
+        "the frames in the file.",
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     base_time: str = flag(
@@ -122,6 +141,7 @@ class Convert(MotionFlags):
             )
         from g1stream.motion.motion import MOTION_SUFFIXES
 
+        of_motion = {f.name for f in fields(MotionFlags)}
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
@@ -132,8 +152,11 @@ class Convert(MotionFlags):
                     f"--ros2 converts a session, and {session} is no session file.",
                     "Give one; `g1stream convert MOTION OUT.mcap` makes one of a motion.",
                 )
+        elif self.to:
+            self._require(_OF_FORMAT | of_motion, f"--to {self.to}")
+        elif self.velocities != Convert.velocities:
+            raise ConfigError("--velocities goes with --to.", "Add --to, or leave it out.")
         elif self.out.suffix.lower() in MOTION_SUFFIXES:
-            of_motion = {f.name for f in fields(MotionFlags)}
             self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
             return self._motion_file()
         try:
@@ -150,12 +173,16 @@ class Convert(MotionFlags):
                 f"{flag_name(given[0])} does not go with {what}.", "Leave one of the two out."
             )
 
+    def _motion(self, robot: G1 | None = None) -> Motion:
+        """The motions as one, and of that the frames that are wanted."""
+        motion = self.load(self.motions, robot)
+        first, behind = _frames(self.frames)
+        return motion.frames(first or 0, motion.n_frames if behind is None else behind)
+
     def _motion_file(self) -> int:
         from g1stream.motion.motion import DEFAULT_FPS
 
-        motion = self.load(self.motions)
-        first, behind = _frames(self.frames)
-        motion = motion.frames(first or 0, motion.n_frames if behind is None else behind)
+        motion = self._motion()
         if self.resample:
             motion = motion.resample(self.resample)
         for warning in motion.warnings:
@@ -181,7 +208,9 @@ class Convert(MotionFlags):
                     raise _StoppedError(stopped[0])
                 progress("converted", fraction)
 
-            make = self._ros2_bag if self.ros2 else self._session_file
+            make = self._session_file
+            if self.ros2 or self.to:
+                make = self._ros2_bag if self.ros2 else self._file_of_format
             about, text, warnings = make(on_progress)
         for warning in warnings:
             print_warning(warning)
@@ -208,6 +237,29 @@ class Convert(MotionFlags):
         if report.left_out:
             text += f"\nleft out, not ROS messages: {', '.join(sorted(report.left_out))}"
         return report.as_dict(), text, ()
+
+    def _file_of_format(
+        self, on_progress: Callable[[float], None]
+    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+        from g1stream.motion.writers import write_motion
+        from g1stream.robot.model import G1
+
+        assert self.to
+        robot = G1.load(self.urdf)
+        motion = self._motion(robot)
+        take = write_motion(
+            motion,
+            self.out,
+            self.to,
+            robot=robot,
+            velocities=self.velocities,
+            force=self.force,
+            on_progress=on_progress,
+        )
+        fps = take.format.fps or motion.fps
+        about = {"path": str(self.out), "format": self.to, "frames": take.n_frames, "fps": fps}
+        text = f"{self.out}: {counted(take.n_frames, 'frame')} at {fps:g} fps for {self.to}"
+        return about, text, motion.warnings
 
     def _session_file(
         self, on_progress: Callable[[float], None]

@@ -193,8 +193,11 @@ def _is_bag(file: MotionFile) -> bool:
 
 
 def is_sonic(path: Path) -> bool:
-    """Whether it is a directory with the tables of SONIC."""
-    return (path / "joint_pos.csv").is_file()
+    """Whether it is a directory with the tables of SONIC; False if it cannot be read."""
+    try:
+        return (path / "joint_pos.csv").is_file()
+    except OSError:  # a name that is too long
+        return False
 
 
 def _is_onnx(file: MotionFile) -> bool:

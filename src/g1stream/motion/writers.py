@@ -227,11 +227,10 @@ def write_motion(
     """
     form = FORMATS[name]
     take = Take(motion, form, robot or G1.default(), velocities, on_progress)
-    kind = "file" if form.suffix else "directory"
-    check_suffix(path, f"a {kind} of the format {name}", form.suffix)
     _check(take, name)
     check_not_input(path, motion.source)
     if form.suffix:
+        check_suffix(path, f"a file of the format {name}", form.suffix)
         with complete_file(path, force=force) as temporary:
             form.write(take, temporary)
     else:
@@ -370,7 +369,7 @@ def _write_lafan1(take: Take, path: Path) -> None:
 
 
 def _write_gmr(take: Take, path: Path) -> None:
-    """The dict that GMR pickles; `local_body_pos` is in the frame of the pelvis."""
+    """The dict that GMR pickles, and joint names; `local_body_pos` is in the pelvis's frame."""
     motion, robot = take.motion, take.robot
     names = dict.fromkeys((*robot.link_names, *_OF_GMR))
     local = np.empty((motion.n_frames, len(names), 3), np.float32)
@@ -394,6 +393,7 @@ def _write_gmr(take: Take, path: Path) -> None:
         "dof_pos": motion.joint_pos,
         "local_body_pos": local,
         "link_body_list": list(names),
+        "joint_names": list(JOINT_NAMES),
     }
     with path.open("wb") as file:
         _Pickler(file, protocol=4).dump(content)

@@ -25,9 +25,10 @@ from g1stream.extras.library.files import content_hash, local_copy, motions_at, 
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
-from g1stream.motion.motion import MOTION_SUFFIXES, Motion
+from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.motion.writers import FORMATS, write_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -72,7 +73,7 @@ class LibraryCase:
         config: all settings; `stream.policy` is that of `simulate`.
         support: how the pelvis is held; of `simulate`.
         sweep: values of settings in this case, by name; they are in `config` already.
-        format: ending of the files of `convert`: csv, npz or mcap.
+        format: of the files of `convert`: csv, npz, mcap, or that of another program.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """
@@ -362,7 +363,7 @@ def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     if case.sessions:
         from g1stream.extras.report.page import report
 
-        path = _output(motion, case, row.key, "mcap")
+        path = _output(motion, case, row.key, ".mcap")
         page = path.with_suffix(".html")
         session.save(path, force=True)
         report(path, page, force=True)
@@ -394,11 +395,13 @@ def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
 def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     from g1stream.app.convert import Conversion, convert
 
-    path = _output(motion, case, rows.motion.key, case.format)
-    if path.suffix in MOTION_SUFFIXES:
-        motion.save(path, force=True)
+    robot = _robot(case.config)
+    if case.format in FORMATS:
+        path = _output(motion, case, rows.motion.key, FORMATS[case.format].suffix)
+        write_motion(motion, path, case.format, robot=robot, force=True)
     else:
-        convert(motion, path, Conversion(force=True), robot=_robot(case.config))
+        path = _output(motion, case, rows.motion.key, f".{case.format}")
+        convert(motion, path, Conversion(force=True), robot=robot)
     rows.motion.output = str(path.relative_to(case.out))
 
 
@@ -406,7 +409,7 @@ def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
     """Where the file of a row goes: motions of one name have different keys."""
     directory = case.out / OUTPUTS[case.command]
     directory.mkdir(parents=True, exist_ok=True)
-    return directory / f"{motion.name}-{key[:8]}.{suffix}"
+    return directory / f"{motion.name}-{key[:8]}{suffix}"
 
 
 _COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}

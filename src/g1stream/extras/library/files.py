@@ -13,7 +13,7 @@ from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingEr
 from g1stream.files import output_errors
 from g1stream.input_limits import MOTION_FILE
 from g1stream.motion.arrays import motions_in
-from g1stream.motion.readers import find_motion
+from g1stream.motion.readers import find_motion, is_sonic
 from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ __all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "motions_at"
 _SEVERAL: Final = {".pkl", ".pickle", ".joblib", ".pt", ".pth", ".motion"}
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
 _SUFFIXES: Final = _SEVERAL | {".csv", ".npz", ".npy", ".mcap", ".db3"}
-#: A directory with this file is a recording in parts, or a bag of ROS 2: one motion.
+#: A directory with this file is a recording in parts, or a bag of ROS 2: one motion, as is one of
+#: SONIC.
 _BAG: Final = "metadata.yaml"
 LIBRARY: Final = ".g1stream-library"
 """The file in each library's directory; its tables and what it wrote are no motions to look at."""
@@ -35,8 +36,8 @@ def find_motions(places: Sequence[str]) -> list[str]:
     """The motion files below directories, files and URLs, in order, each location once.
 
     A directory stands for the files below it whose names end like those of motion files, and for
-    its recordings in parts; libraries and hidden files and directories are left out, links to
-    directories not followed.
+    its recordings in parts and directories of SONIC; libraries and hidden files and directories are
+    left out, links to directories not followed.
 
     Args:
         places: paths, one in a file of several as `library.pkl:walk`, or URLs such as
@@ -65,14 +66,15 @@ def _below(place: str) -> Iterator[str]:
         return
     for directory, names, files in os.walk(path):
         names[:] = sorted(name for name in names if not name.startswith("."))
-        if _BAG in files or LIBRARY in files:
+        one = _BAG in files or is_sonic(Path(directory))
+        if one or LIBRARY in files:
             names.clear()
-            if _BAG in files:
+            if one:
                 yield directory
             continue
         for name in _motions_among(files):
-            if (one := Path(directory, name)).is_file():
-                yield str(one)
+            if (file := Path(directory, name)).is_file():
+                yield str(file)
 
 
 def _motions_among(names: Iterable[str]) -> list[str]:

@@ -26,7 +26,7 @@ from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.text import counted, labelled, table
-from g1stream.types import StreamSupport, Support
+from g1stream.types import MotionFormat, StreamSupport, Support
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -51,7 +51,7 @@ class Library(SettingsCommand):
 
     check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
     faster than real time, once for each support and each value of a sweep. convert: writes motion
-    files, or MCAP files for viewers.
+    files, also those that other programs train from, or MCAP files for viewers.
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
     joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
@@ -107,7 +107,9 @@ class Library(SettingsCommand):
         shown="none",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
-    to: Literal["npz", "csv", "mcap"] = flag("npz", "convert: format of the files.")
+    to: Literal["npz", "csv", "mcap", MotionFormat] = flag(
+        "npz", "convert: format of the files; beyondmimic and the like are for other programs."
+    )
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"

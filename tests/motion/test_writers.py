@@ -1,0 +1,488 @@
+"""What other programs read: each format as its published layout says, by independent kinematics."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, get_args
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import g1stream
+from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.motion.readers import find_motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.motion.writers import FORMATS, _write_rows
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.types import MotionFormat
+
+BODIES = [name for name, one in FORMATS.items() if one.layout]
+SUFFIX = {name: one.suffix for name, one in FORMATS.items()}
+#: The bodies that whole_body_tracking tracks, by which SONIC's numbers are to be told.
+TRACKED = [
+    "pelvis",
+    *("left_hip_roll_link", "left_knee_link", "left_ankle_roll_link"),
+    *("right_hip_roll_link", "right_knee_link", "right_ankle_roll_link"),
+    "torso_link",
+    *("left_shoulder_roll_link", "left_elbow_link", "left_wrist_yaw_link"),
+    *("right_shoulder_roll_link", "right_elbow_link", "right_wrist_yaw_link"),
+]
+
+
+class Body(NamedTuple):
+    pos: np.ndarray
+    quat: np.ndarray
+    lin_vel: np.ndarray
+    centre_vel: np.ndarray
+    ang_vel: np.ndarray
+
+
+class Oracle:
+    """MuJoCo's kinematics of the default URDF, its fixed links merged, at samples of the spline."""
+
+    def __init__(self, robot):
+        root = ET.fromstring(robot.urdf)
+        for link in root.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(shape)
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+        spec.compiler.fusestatic = True
+        spec.worldbody.first_body().add_freejoint()
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.names = [self.model.body(i).name for i in range(1, self.model.nbody)]
+        self.joints = [self.model.joint(i).name for i in range(1, self.model.njnt)]
+
+    def breadth_first(self):
+        """The bodies as Isaac Lab numbers them: a level of the tree at a time."""
+        order, level = [], [1]
+        while level:
+            order += level
+            level = [
+                i for above in level for i in np.flatnonzero(self.model.body_parentid == above)
+            ]
+        return [self.model.body(i).name for i in order]
+
+    def bodies(self, point):
+        """Of each body by name, and `qpos` and `qvel`."""
+        order = [g1stream.JOINT_NAMES.index(name) for name in self.joints]
+        self.data.qpos[:] = [*point.root_pos, *point.root_quat_wxyz, *point.joint_pos[order]]
+        self.data.qvel[:] = [*point.root_lin_vel, *point.root_ang_vel, *point.joint_vel[order]]
+        mujoco.mj_forward(self.model, self.data)
+        found = {}
+        for name in self.names:
+            i, velocity = self.model.body(name).id, np.zeros((2, 6))
+            kinds = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+            for kind, row in zip(kinds, velocity, strict=True):
+                mujoco.mj_objectVelocity(self.model, self.data, kind, i, row, 0)
+            pose = self.data.xpos[i].copy(), self.data.xquat[i].copy()
+            found[name] = Body(*pose, velocity[0, 3:], velocity[1, 3:], velocity[0, :3])
+        return found
+
+
+@pytest.fixture(scope="module")
+def oracle():
+    return Oracle(G1.default())
+
+
+def written(motion, name, directory, **how):
+    path = directory / f"written{SUFFIX[name]}"
+    return motion.save(path, format=name, force=True, **how)
+
+
+def samples(motion, fps):
+    """The times of a file's frames, from the first frame on, as far as there are frames."""
+    return np.arange(int(motion.duration * fps + 1e-9) + 1) / fps
+
+
+def test_the_formats_of_others_are_those_that_the_flag_takes():
+    assert set(get_args(MotionFormat)) == FORMATS.keys() - {"csv", "npz"}
+
+
+@pytest.mark.parametrize(
+    ("name", "fps"), [("beyondmimic", np.int64), ("mjlab", np.float64), ("holosoma", np.int64)]
+)
+def test_arrays_names_and_types(wild_motion, tmp_path, oracle, name, fps):
+    """As the motion loaders of whole_body_tracking, mjlab and holosoma index them."""
+    n = len(samples(wild_motion, 50))
+    n_bodies, pose, rate = (31, 7, 6) if name == "holosoma" else (30, 0, 0)
+    with np.load(written(wild_motion, name, tmp_path)) as found:
+        shapes = {key: found[key].shape for key in found if not key.endswith("names")}
+        assert found["fps"].dtype == fps
+        assert found["fps"].tolist() == [50]
+        joints, bodies = found["joint_names"].tolist(), found["body_names"].tolist()
+        kinds = {found[key].dtype for key in shapes if key != "fps"}
+    assert kinds == {np.dtype(np.float32)}
+    assert shapes == {
+        "fps": (1,),
+        "joint_pos": (n, pose + 29),
+        "joint_vel": (n, rate + 29),
+        "body_pos_w": (n, n_bodies, 3),
+        "body_quat_w": (n, n_bodies, 4),
+        "body_lin_vel_w": (n, n_bodies, 3),
+        "body_ang_vel_w": (n, n_bodies, 3),
+    }
+    if name == "beyondmimic":
+        assert bodies == oracle.breadth_first()
+        assert [oracle.model.body(body).jntadr[0] for body in bodies[1:]] == [
+            oracle.model.joint(joint).id for joint in joints
+        ]
+    else:
+        assert bodies[-30:] == oracle.names
+        assert joints == oracle.joints
+        assert bodies[0] == ("world" if name == "holosoma" else "pelvis")
+
+
+@pytest.mark.parametrize("name", ["beyondmimic", "mjlab", "holosoma"])
+def test_states_are_those_of_mujoco(wild_motion, tmp_path, oracle, name):
+    """Linear velocities are of centres of mass, as PhysX has them, but of origins in mjlab."""
+    trajectory = Trajectory(wild_motion)
+    with np.load(written(wild_motion, name, tmp_path)) as file:
+        found = {key: file[key] for key in file}
+    joints = [g1stream.JOINT_NAMES.index(one) for one in found["joint_names"].tolist()]
+    times = samples(wild_motion, 50)
+    assert len(times) == len(found["joint_pos"])
+    for i in range(0, len(times), 7):
+        point = trajectory.sample(times[i])
+        expected = oracle.bodies(point)
+        close(found["joint_pos"][i, -29:], point.joint_pos[joints], 1e-6)
+        close(found["joint_vel"][i, -29:], point.joint_vel[joints], 1e-5)
+        for b, body in enumerate(found["body_names"].tolist()):
+            if body == "world":
+                assert not found["body_pos_w"][i, b].any()
+                assert found["body_quat_w"][i, b].tolist() == [1, 0, 0, 0]
+                continue
+            of = expected[body]
+            lin_vel = of.lin_vel if name == "mjlab" else of.centre_vel
+            close(found["body_pos_w"][i, b], of.pos, 1e-6)
+            close(abs(found["body_quat_w"][i, b] @ of.quat), 1.0, 1e-6)
+            close(found["body_lin_vel_w"][i, b], lin_vel, 1e-5)
+            close(found["body_ang_vel_w"][i, b], of.ang_vel, 1e-5)
+        if name == "holosoma":
+            close(found["joint_pos"][i, :7], [*point.root_pos, *point.root_quat_wxyz], 1e-6)
+            close(found["joint_vel"][i, :6], [*point.root_lin_vel, *point.root_ang_vel], 1e-5)
+
+
+def test_a_centre_of_mass_is_not_where_its_frame_is(wild_motion, tmp_path):
+    """So that the two kinds of velocity cannot be mixed up above."""
+    with np.load(written(wild_motion, "beyondmimic", tmp_path)) as file:
+        of_centres = file["body_lin_vel_w"][:, 0]
+    with np.load(written(wild_motion, "mjlab", tmp_path)) as file:
+        of_origins = file["body_lin_vel_w"][:, 0]
+    assert np.abs(of_centres - of_origins).max() > 0.01
+
+
+def close(found, expected, tolerance):
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
+
+
+def test_finite_velocities_are_differences_of_the_frames_in_the_file(wild_motion, tmp_path):
+    with np.load(written(wild_motion, "mjlab", tmp_path, velocities="finite")) as file:
+        found = {key: file[key].astype(float) for key in file if not key.endswith("names")}
+    close(found["joint_vel"], np.gradient(found["joint_pos"], 1 / 50, axis=0), 1e-4)
+    close(
+        found["body_lin_vel_w"][:, 0], np.gradient(found["body_pos_w"][:, 0], 1 / 50, axis=0), 1e-4
+    )
+    turned = Rotation.from_quat(found["body_quat_w"][:, 0][:, [1, 2, 3, 0]])
+    turn = (turned[2:] * turned[:-2].inv()).as_rotvec() * 25
+    close(found["body_ang_vel_w"][1:-1, 0], turn, 1e-4)
+    assert (found["body_ang_vel_w"][[0, -1], 0] == found["body_ang_vel_w"][[1, -2], 0]).all()
+    with np.load(written(wild_motion, "mjlab", tmp_path)) as file:
+        assert np.abs(file["joint_vel"] - found["joint_vel"]).max() > 0.1
+
+
+def test_a_half_turn_between_frames_has_a_velocity(make_motion, tmp_path):
+    """And none of a robot that stands is none, not 0 / 0."""
+    quat = np.tile([[1.0, 0, 0, 0], [0, 0, 0, 1.0]], (4, 1))
+    motion = make_motion(np.zeros((8, 29)), quat=quat, fps=25)
+    for one, speed in ((motion, 0.1), (make_motion(np.zeros((8, 29)), fps=25), 0.0)):
+        with np.load(written(one, "mjlab", tmp_path, velocities="finite")) as file:
+            assert np.isfinite(file["body_ang_vel_w"]).all()
+            assert np.abs(file["body_ang_vel_w"]).max() >= speed
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_quaternions_are_continuous(make_motion, tmp_path, name):
+    t = np.linspace(0.0, 3.0, 91)
+    quat = np.stack([np.cos(3 * t), 0 * t, 0 * t, np.sin(3 * t)], axis=1)  # nearly three turns
+    joints = np.zeros((91, 29))
+    joints[:, 3] = 2.0 * np.sin(2 * t)
+    path = written(make_motion(joints, quat=quat), name, tmp_path)
+    if name == "sonic":
+        found = table(path, "body_quat").reshape(-1, 14, 4)
+    else:
+        with np.load(path) as file:
+            found = file["body_quat_w"]
+    assert ((found[1:] * found[:-1]).sum(axis=-1) > 0.9).all()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_is_written_is_read_back(wild_motion, tmp_path, robot, name):
+    """Angles within 1e-6 rad, bodies within 0.01 mm, the height as it was."""
+    form = FORMATS[name]
+    motion = replace(wild_motion, fps=60.0)
+    expected = motion.resample(form.fps) if form.fps else motion
+    found = g1stream.load_motion(
+        written(motion, name, tmp_path), fps=60.0 if name == "csv" else None
+    )
+    assert found.fps == expected.fps
+    assert found.warnings == ()
+    close(found.joint_pos, expected.joint_pos, 1e-6)
+    close(found.root_pos, expected.root_pos, 1e-6)
+    ours, theirs = (
+        forward_kinematics(robot, one.joint_pos, one.root_pos, one.root_quat_wxyz).pos
+        for one in (found, expected)
+    )
+    assert np.linalg.norm(ours - theirs, axis=-1).max() < 1e-5
+    if form.fps is None:
+        np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+        np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
+
+
+def table(directory, name):
+    return np.loadtxt(directory / f"{name}.csv", delimiter=",", skiprows=1)
+
+
+def test_sonic(wild_motion, tmp_path):
+    """As motion_reference.md of GR00T-WholeBodyControl says, with the body numbers of its clips."""
+    path = written(wild_motion, "sonic", tmp_path)
+    with np.load(written(wild_motion, "beyondmimic", tmp_path)) as file:
+        whole = {key: file[key] for key in file}
+    names = whole["body_names"].tolist()
+    numbers = [names.index(name) for name in TRACKED]
+    assert numbers == [0, 4, 10, 18, 5, 11, 19, 9, 16, 22, 28, 17, 23, 29]
+    metadata = (path / "metadata.txt").read_text()
+    n_frames = len(whole["joint_pos"])
+    assert f"\nBody part indexes:\n[{' '.join(map(str, numbers))}]\n" in metadata
+    assert f"\nTotal timesteps: {n_frames}\n" in metadata
+    for name in ("joint_pos", "joint_vel", "body_pos", "body_quat", "body_lin_vel", "body_ang_vel"):
+        expected = whole[name] if name.startswith("joint") else whole[f"{name}_w"][:, numbers]
+        close(table(path, name), expected.reshape(n_frames, -1), 2e-6)
+    headers = {one.stem: one.read_text().split("\n", 1)[0].split(",") for one in path.glob("*.csv")}
+    assert headers["joint_vel"][::28] == ["joint_vel_0", "joint_vel_28"]
+    assert headers["body_quat"][:5] == ["body_0_w", "body_0_x", "body_0_y", "body_0_z", "body_1_w"]
+    assert headers["body_pos"][-1] == "body_13_z"
+    assert headers["body_lin_vel"][3] == "body_1_vel_x"
+    assert headers["body_ang_vel"][-1] == "body_13_angvel_z"
+
+
+@pytest.mark.parametrize("width", [3, 6])
+def test_sonic_needs_the_pelvis_only(wild_motion, tmp_path, width):
+    """What SONIC calls root-only; and further bodies."""
+    path = written(wild_motion, "sonic", tmp_path)
+    for name, n in (("body_pos", width), ("body_quat", width * 4 // 3)):
+        lines = (path / f"{name}.csv").read_text().splitlines()
+        cut = "\n".join(",".join(line.split(",")[:n]) for line in lines)
+        (path / f"{name}.csv").write_text(cut)
+    found = g1stream.load_motion(path)
+    close(found.root_pos, wild_motion.resample(50).root_pos, 1e-6)
+    close(found.joint_pos, wild_motion.resample(50).joint_pos, 1e-6)
+    assert len(find_motion(path).open().motion().sha256) == 64
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a,b", "a,b\n1,2,3\n", "a,b\n1,x\n", "a\n" + "1" * 70_000, "a,b\n1,2\n3\n"]
+)
+@pytest.mark.parametrize("name", ["joint_pos", "body_pos"])
+def test_a_broken_table_of_sonic_is_an_error(wild_motion, tmp_path, name, text):
+    path = written(wild_motion, "sonic", tmp_path)
+    (path / f"{name}.csv").write_text(text)
+    with pytest.raises(MotionError, match=name):
+        g1stream.load_motion(path)
+
+
+def test_bodies_of_sonic_have_three_and_four_numbers(wild_motion, tmp_path):
+    path = written(wild_motion, "sonic", tmp_path)
+    (path / "body_quat.csv").write_bytes((path / "body_pos.csv").read_bytes())  # 42 columns
+    with pytest.raises(MotionError, match="42 columns"):
+        g1stream.load_motion(path)
+
+
+def test_lafan1_has_36_columns_at_30_fps_and_no_header(wild_motion, tmp_path):
+    motion = replace(wild_motion, fps=30.0)
+    found = np.loadtxt(written(motion, "lafan1", tmp_path), delimiter=",")
+    assert found.shape == (40, 36)
+    close(found[:, :3], motion.root_pos, 1e-6)
+    close(found[:, 3:7], motion.root_quat_wxyz[:, [1, 2, 3, 0]], 1e-6)
+    close(found[:, 7:], motion.joint_pos, 1e-6)
+
+
+def test_gmr_is_what_its_viewer_indexes(wild_motion, tmp_path, oracle):
+    path = written(wild_motion, "gmr", tmp_path)
+    content = pickle.loads(path.read_bytes())
+    keys = ("fps", "root_pos", "root_rot", "dof_pos", "local_body_pos", "link_body_list")
+    assert tuple(content) == (*keys, "joint_names")
+    assert content["joint_names"] == oracle.joints
+    assert content["fps"] == wild_motion.fps
+    np.testing.assert_array_equal(content["root_pos"], wild_motion.root_pos)
+    np.testing.assert_array_equal(content["dof_pos"], wild_motion.joint_pos)
+    wxyz = content["root_rot"][:, [3, 0, 1, 2]]  # as GMR's data_loader takes it
+    np.testing.assert_array_equal(wxyz, wild_motion.root_quat_wxyz)
+    assert content["root_pos"].flags.writeable
+    names, local = content["link_body_list"], content["local_body_pos"]
+    assert local.shape == (40, len(names), 3)
+    at_origin = replace(
+        wild_motion,
+        root_pos=np.zeros((40, 3)),
+        root_quat_wxyz=np.tile([1.0, 0, 0, 0], (40, 1)),
+    )
+    trajectory = Trajectory(at_origin)
+    for frame in (0, 17, 39):
+        bodies = oracle.bodies(trajectory.sample(frame / wild_motion.fps))
+        for name, body in bodies.items():
+            close(local[frame, names.index(name)], body.pos, 1e-6)
+        for name, parent, offset in (
+            ("left_toe_link", "left_ankle_roll_link", [0.1, 0, -0.02]),
+            ("head_mocap", "torso_link", [0, 0, 0.4]),
+        ):
+            at = bodies[parent]
+            turned = Rotation.from_quat(at.quat[[1, 2, 3, 0]]).apply(offset)
+            close(local[frame, names.index(name)], at.pos + turned, 1e-6)
+
+
+def test_a_pickle_names_nothing_that_an_older_numpy_lacks(wild_motion, tmp_path):
+    named = set()
+
+    class Unpickler(pickle.Unpickler):
+        def find_class(self, module, name):
+            named.add((module, name))
+            return super().find_class(module, name)
+
+    content = written(wild_motion, "gmr", tmp_path).read_bytes()
+    assert Unpickler(io.BytesIO(content)).load()["fps"] == wild_motion.fps
+    assert named == {("numpy", "ndarray"), ("numpy", "dtype")}
+
+
+@given(
+    st.lists(
+        st.lists(
+            st.floats(-9999.0, 9999.0) | st.floats(-1e-5, 1e-5) | st.sampled_from([-0.0, 0.5]),
+            min_size=3,
+            max_size=3,
+        ),
+        min_size=1,
+        max_size=20,
+    )
+)
+def test_numbers_in_text_are_those_that_python_writes(tmp_path_factory, rows):
+    path = tmp_path_factory.mktemp("rows") / "rows.csv"
+    with path.open("wb") as file:
+        _write_rows(file, np.array(rows), "motion")
+    found = path.read_text()
+    assert found.count("\n") == len(rows)
+    np.testing.assert_allclose(
+        np.loadtxt(path, delimiter=",", ndmin=2), np.array(rows), rtol=0, atol=0.501e-6
+    )
+    assert all(
+        len(cell.partition(".")[2]) == 6 for cell in found.replace("\n", ",").split(",")[:-1]
+    )
+
+
+def test_numbers_in_text_across_blocks(tmp_path):
+    values = np.arange(-3000, 3000).reshape(2000, 3) / 7
+    with (path := tmp_path / "rows.csv").open("wb") as file:
+        _write_rows(file, values, "motion")
+    expected = "".join(",".join(f"{x:.6f}" for x in row) + "\n" for row in values.tolist())
+    assert path.read_text() == expected
+
+
+REFUSED = {
+    "23 joints": ("mjlab", {"robot": "g1_23dof"}, RobotError),
+    "no columns for wrists in a table": ("lafan1", {"robot": "g1_23dof"}, RobotError),
+    "velocities that are not there": ("gmr", {"velocities": "finite"}, MotionError),
+    "of ours neither": ("npz", {"velocities": "finite"}, MotionError),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_format_refuses_what_it_cannot_hold(wild_motion, tmp_path, case):
+    name, how, error = REFUSED[case]
+    if "robot" in how:
+        how = {"robot": G1.load(how["robot"])}
+    with pytest.raises(error):
+        written(wild_motion, name, tmp_path, **how)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_robot_with_fingers_is_refused(wild_motion, tmp_path, robot):
+    fingers = replace(robot, ignored_joints=("left_hand_thumb_0_joint",))
+    with pytest.raises(RobotError, match="left_hand_thumb_0_joint"):
+        written(wild_motion, "beyondmimic", tmp_path, robot=fingers)
+
+
+def test_endings_existing_files_and_short_motions_are_refused(make_motion, wild_motion, tmp_path):
+    with pytest.raises(ConfigError, match=r"\.npz"):
+        wild_motion.save(tmp_path / "a.csv", format="mjlab")
+    with pytest.raises(MotionError, match="frame"):
+        written(make_motion(np.zeros((2, 29))), "mjlab", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    for name in ("mjlab", "sonic"):
+        path = written(wild_motion, name, tmp_path)
+        with pytest.raises(RecordingError, match="exists already"):
+            wild_motion.save(path, format=name)
+    (tmp_path / "written" / "mine.txt").touch()
+    with pytest.raises(RecordingError, match=r"mine\.txt"):
+        written(wild_motion, "sonic", tmp_path)
+
+
+def test_a_failure_leaves_what_was_there(wild_motion, tmp_path):
+    """A pelvis that is too far away for numbers in text."""
+    path = written(wild_motion, "sonic", tmp_path)
+    before = {one.name: one.read_bytes() for one in path.iterdir()}
+    far = replace(wild_motion, root_pos=wild_motion.root_pos + 10_000)
+    for name in ("sonic", "lafan1"):
+        with pytest.raises(MotionError, match="10,000"):
+            written(far, name, tmp_path)
+    assert {one.name: one.read_bytes() for one in path.iterdir()} == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+MJLAB = """
+import sys
+import numpy as np
+import torch
+from mjlab.asset_zoo.robots.unitree_g1.g1_constants import get_spec
+from mjlab.tasks.tracking.mdp.commands import MotionLoader
+
+model = get_spec().compile()
+bodies = [model.body(i).name for i in range(1, model.nbody)]
+joints = [model.joint(i).name for i in range(1, model.njnt)]
+loader = MotionLoader(sys.argv[1], torch.arange(len(bodies)))
+names = "joint_pos joint_vel body_pos_w body_quat_w body_lin_vel_w body_ang_vel_w".split()
+np.savez(
+    sys.argv[2],
+    bodies=bodies,
+    joints=joints,
+    steps=loader.time_step_total,
+    **{name: getattr(loader, name).numpy() for name in names},
+)
+"""
+
+
+@pytest.mark.slow
+def test_mjlabs_own_loader_reads_it(wild_motion, tmp_path):
+    """In an environment of its own: MJLAB_PYTHON is the Python of one with mjlab installed."""
+    python = os.environ.get("MJLAB_PYTHON")
+    if not python or not Path(python).exists():
+        pytest.skip("set MJLAB_PYTHON to the Python of an environment with mjlab")
+    path = written(wild_motion, "mjlab", tmp_path)
+    command = [python, "-c", MJLAB, path, tmp_path / "read.npz"]
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    subprocess.run(command, check=True, env=environment, timeout=150, capture_output=True)
+    with np.load(path) as ours, np.load(tmp_path / "read.npz") as theirs:
+        assert theirs["bodies"].tolist() == ours["body_names"].tolist()
+        assert theirs["joints"].tolist() == ours["joint_names"].tolist()
+        assert theirs["steps"] == len(ours["joint_pos"])
+        for name in theirs.files[3:]:
+            np.testing.assert_array_equal(theirs[name], ours[name])

@@ -13,7 +13,14 @@ from pathlib import Path
 import pytest
 
 from g1stream.errors import RecordingError
-from g1stream.files import check_output_path, complete_file, is_session, read_file, timestamped
+from g1stream.files import (
+    check_output_path,
+    complete_directory,
+    complete_file,
+    is_session,
+    read_file,
+    timestamped,
+)
 
 
 @pytest.mark.parametrize(
@@ -188,3 +195,49 @@ def test_a_directory_that_may_not_be_written(locked, mode, statement):
 @pytest.mark.parametrize("name", ["s.mcap", "s"])
 def test_a_directory_that_may_not_be_read(locked, name):
     assert "Permission denied" in locked(0o000, f"SessionFiles(path.with_name({name!r}))")
+
+
+def write_directory(path, text, *, force=False):
+    """A text, or an error that ends it half way."""
+    with complete_directory(path, ("a", "b"), force=force) as temporary:
+        (temporary / "a").write_text(str(text))
+        assert not path.exists() or force
+        if not isinstance(text, str):
+            raise text
+
+
+def test_a_directory_gets_its_name_when_it_is_complete(tmp_path):
+    path = tmp_path / "d"
+    write_directory(path, "first")
+    write_directory(path, "second", force=True)
+    assert [one.name for one in tmp_path.iterdir()] == ["d"]
+    assert [(one.name, one.read_text()) for one in path.iterdir()] == [("a", "second")]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_a_failure_leaves_the_directory_that_was_there(tmp_path, error):
+    path = tmp_path / "d"
+    write_directory(path, "first")
+    with pytest.raises(RecordingError if error is OSError else error):
+        write_directory(path, error, force=True)
+    assert [one.name for one in tmp_path.iterdir()] == ["d"]
+    assert (path / "a").read_text() == "first"
+
+
+@pytest.mark.parametrize("kind", ["taken", "a file", "a link", "others", "no parent"])
+def test_directories_that_are_not_replaced(tmp_path, kind):
+    path = tmp_path / "d"
+    if kind == "a file":
+        path.write_text("mine")
+    elif kind == "a link":
+        (tmp_path / "elsewhere").mkdir()
+        path.symlink_to(tmp_path / "elsewhere")
+    elif kind == "no parent":
+        path = tmp_path / "gone" / "d"
+    else:
+        path.mkdir()
+        (path / ("mine" if kind == "others" else "a")).write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(RecordingError):
+        write_directory(path, "new", force=kind != "taken")
+    assert sorted(tmp_path.rglob("*")) == before

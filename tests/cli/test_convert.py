@@ -13,7 +13,10 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import g1stream
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]
@@ -50,6 +53,35 @@ def test_the_summary_as_json(out):
     assert told["size"] == out.stat().st_size
     assert told["counts"]["/tf"] == told["frames"] == 30
     assert told["start_ns"] == 60 * 10**9 + 333_333_333
+
+
+@pytest.mark.parametrize(("name", "out"), [("mjlab", "m.npz"), ("sonic", "m"), ("gmr", "m.pkl")])
+def test_what_another_program_reads(tmp_path, name, out):
+    done = run("demo", tmp_path / out, "--to", name, "--frames", "10:40", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    told = json.loads(done.stdout)
+    n_frames, fps = (30, 30) if name == "gmr" else (49, 50)
+    assert told == {"path": str(tmp_path / out), "format": name, "frames": n_frames, "fps": fps}
+    motion = g1stream.load_motion(tmp_path / out)
+    assert (motion.n_frames, motion.fps) == (n_frames, fps)
+    assert run("demo", tmp_path / out, "--to", name).returncode == 2
+    assert g1stream.load_motion(tmp_path / out).n_frames == n_frames
+
+
+def test_the_flags_of_what_another_program_reads(tmp_path):
+    """Velocities and the robot's bodies."""
+    found = {}
+    for flags in ((), ("--velocities", "finite"), ("--urdf", "g1_29dof")):
+        path = tmp_path / "m.npz"
+        done = run("demo", path, "--to", "mjlab", "--frames", "10:40", "--force", *flags)
+        assert done.returncode == 0
+        with np.load(path) as file:
+            found[flags] = file["joint_vel"], file["body_pos_w"][:, 15]
+    ours, finite, other = found.values()
+    assert np.abs(ours[0] - finite[0]).max() > 1e-3
+    assert (ours[1] == finite[1]).all()
+    assert (ours[0] == other[0]).all()
+    assert np.linalg.norm(ours[1] - other[1], axis=1).max() > 0.005  # the waists differ
 
 
 @pytest.mark.slow
@@ -102,6 +134,26 @@ CASES = {
     ),
     "no range": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9"], "not a range of frames"),
     "no URDF": (lambda tmp: ["demo", tmp / "a.mcap", "--urdf", DEMO], "is not XML"),
+    "a rate for a format that has its own": (
+        lambda tmp: ["demo", tmp / "a.npz", "--to", "mjlab", "--resample", "60"],
+        "--resample",
+    ),
+    "velocities for a session": (
+        lambda tmp: ["demo", tmp / "a.mcap", "--velocities", "finite"],
+        "--to",
+    ),
+    "a format and a bag": (
+        lambda tmp: ["demo", tmp / "a", "--to", "sonic", "--ros2"],
+        "--to",
+    ),
+    "the name of another format": (
+        lambda tmp: ["demo", tmp / "a.csv", "--to", "mjlab"],
+        ".npz",
+    ),
+    "a robot of 23 joints": (
+        lambda tmp: ["demo", tmp / "a", "--to", "sonic", "--urdf", "g1_23dof"],
+        "23",
+    ),
     "an unknown compression": (
         lambda tmp: ["demo", tmp / "a.mcap", "--compression", "zip"],
         "zstd",

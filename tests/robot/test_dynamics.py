@@ -14,7 +14,12 @@ from g1stream.errors import RobotError
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot import dynamics as module
-from g1stream.robot.dynamics import BaseMotion, InverseDynamics, friction_torque
+from g1stream.robot.dynamics import (
+    BaseMotion,
+    InverseDynamics,
+    centres_of_mass,
+    friction_torque,
+)
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -284,3 +289,30 @@ def test_a_urdf_without_masses_is_named(tmp_path, robot):
     path.write_text(ET.tostring(root, encoding="unicode"))
     with pytest.raises(RobotError, match="weightless"):
         InverseDynamics(G1.load(path))
+
+
+def test_what_is_fixed_to_a_link_moves_its_centre_of_mass(robot):
+    """By hand, from the URDF's masses: the head is part of the torso, the hands of the wrists."""
+    poses = forward_kinematics(robot, np.zeros((1, N_JOINTS)), np.zeros(3), UPRIGHT.quat_wxyz)
+    mass, moment = np.zeros(len(robot.link_names)), np.zeros((len(robot.link_names), 3))
+    for link in ET.fromstring(robot.urdf).iter("link"):
+        if (inertial := link.find("inertial")) is None:
+            continue
+        own = moved = robot.link_index(link.get("name"))
+        while robot.joint_of_link[moved] < 0 and robot.parent[moved] >= 0:
+            moved = robot.parent[moved]
+        centre = np.fromstring(inertial.find("origin").get("xyz"), sep=" ")
+        turned = Rotation.from_quat(poses.quat_wxyz[0, own], scalar_first=True).apply(centre)
+        one = float(inertial.find("mass").get("value"))
+        mass[moved] += one
+        moment[moved] += one * (poses.pos[0, own] + turned)
+    found = centres_of_mass(robot)
+    moving = (robot.joint_of_link >= 0) | (robot.parent < 0)
+    assert not found[~moving].any()
+    for link in np.flatnonzero(moving):
+        turned = Rotation.from_quat(poses.quat_wxyz[0, link], scalar_first=True)
+        expected = turned.inv().apply(moment[link] / mass[link] - poses.pos[0, link])
+        np.testing.assert_allclose(found[link], expected, rtol=0, atol=1e-7)
+    torso = ET.fromstring(robot.urdf).find("link[@name='torso_link']/inertial/origin").get("xyz")
+    alone = np.fromstring(torso, sep=" ")
+    assert np.abs(found[robot.link_index("torso_link")] - alone).max() > 0.01

@@ -10,6 +10,7 @@ import g1stream
 from g1stream.config import Config, load_config
 from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
+from g1stream.extras.library.files import find_motions
 from g1stream.extras.library.library_cli import swept
 
 
@@ -82,6 +83,24 @@ def test_converted_files_are_the_same_motions(motions, tmp_path, suffix):
             before, after = map(g1stream.load_motion, (row["path"], tmp_path / row["output"]))
             assert np.abs(before.joint_pos - after.joint_pos).max() < 1e-6
             assert after.n_frames == before.n_frames == row["frames"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "fps"), [("sonic", 50.0), ("gmr", 30.0)])
+def test_a_dataset_in_the_format_of_another_program(motions, tmp_path, name, fps):
+    """What is written is a library of motions again."""
+    case = g1stream.LibraryCase("convert", tmp_path, format=name)
+    run = g1stream.run_library([str(motions)], [case], workers=1)
+    assert (run.done, run.failed) == (4, 1)
+    rows = g1stream.open_library(tmp_path).motions.to_dict("records")
+    outputs = {str(tmp_path / row["output"]) for row in rows if row["status"] == "ok"}
+    assert len(outputs) == 3
+    assert set(find_motions([str(tmp_path / "converted")])) == outputs
+    for row in rows:
+        if row["status"] == "ok":
+            before, after = map(g1stream.load_motion, (row["path"], tmp_path / row["output"]))
+            assert after.fps == fps
+            assert np.abs(before.resample(fps).joint_pos - after.joint_pos).max() < 1e-6
 
 
 def test_every_combination_of_a_sweep():

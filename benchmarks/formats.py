@@ -10,8 +10,8 @@
   process of its own, without reading the motion.
 - --model: how far our links are from those of the same name in a URDF or MJCF of others, at 200
   random poses.
-- --mjlab: the Python of an environment with mjlab. Its own csv_to_npz converts the motion's frames,
-  and its arrays are compared with ours of the same frames.
+- --mjlab: the Python of an environment with mjlab. Its own csv_to_npz converts ten seconds of the
+  motion. Compared are ours of its frames at 50 fps with finite velocities, and ours of the motion.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ wandb = types.ModuleType("wandb")
 wandb.init, wandb.finish, wandb.log = (lambda **_: run), nothing, nothing
 sys.modules["wandb"] = wandb
 from mjlab.scripts import csv_to_npz
-csv_to_npz.main(sys.argv[1], "motion", input_fps=50, output_fps=50, device="cpu")
+csv_to_npz.main(sys.argv[1], "motion", input_fps=float(sys.argv[2]), device="cpu")
 """
 
 
@@ -133,23 +133,32 @@ def model_difference(path: Path) -> dict[str, float | str]:
 
 
 def beside_mjlab(motion: g1stream.Motion, python: str, directory: Path) -> dict[str, Any]:
-    """Our arrays less those of mjlab's csv_to_npz, of the same frames at 50 fps."""
-    frames = motion.resample(50.0)
-    root = frames.root_pos, frames.root_quat_wxyz[:, [1, 2, 3, 0]], frames.joint_pos
+    """Our arrays less those of mjlab's csv_to_npz, and the seconds that both take."""
+    root = motion.root_pos, motion.root_quat_wxyz[:, [1, 2, 3, 0]], motion.joint_pos
     np.savetxt(directory / "in.csv", np.concatenate(root, axis=1), delimiter=",", fmt="%.9f")
     start = time.perf_counter()
-    command = [python, "-c", MJLAB, str(directory / "in.csv")]
+    command = [python, "-c", MJLAB, str(directory / "in.csv"), str(motion.fps)]
     subprocess.run(command, check=True, capture_output=True)
-    wall_s = time.perf_counter() - start
-    found: dict[str, Any] = {"frames": frames.n_frames, "wall_s": wall_s}
-    with np.load("/tmp/motion.npz") as theirs:
-        n_frames = len(theirs["joint_pos"])  # without the last one
-        frames = frames.frames(0, n_frames)
+    its_s = time.perf_counter() - start
+    with np.load("/tmp/motion.npz") as file:
+        theirs = {name: file[name] for name in file}
+    pelvis = theirs["body_pos_w"][:, 0], theirs["body_quat_w"][:, 0]
+    same = g1stream.Motion.from_arrays(theirs["joint_pos"], *pelvis, fps=50)
+    found: dict[str, Any] = {}
+    for title, one, kind in (
+        ("of its frames", same, "finite"),
+        ("of the motion", motion, "spline"),
+    ):
         start = time.perf_counter()
-        frames.save(directory / "ours.npz", format="mjlab", velocities="finite")
-        found["ours_wall_s"] = time.perf_counter() - start
+        write_motion(one, directory / "ours.npz", "mjlab", velocities=kind, force=True)  # type: ignore[arg-type]
+        seconds = {"its s": its_s, "our s": time.perf_counter() - start}
         with np.load(directory / "ours.npz") as ours:
-            found |= {name: difference(ours[name], theirs[name]) for name in ARRAYS}
+            worst = {
+                f"{name} {how}": value
+                for name in ("joint_pos", *ARRAYS)
+                for how, value in difference(ours[name][: len(theirs[name])], theirs[name]).items()
+            }
+        found[title] = {"frames": len(theirs["joint_pos"]), **seconds, **worst}
     return found
 
 
@@ -185,8 +194,10 @@ def main() -> None:
         if args.mjlab:
             part = motion.frames(0, min(motion.n_frames, 300))
             beside = beside_mjlab(part, args.mjlab, Path(directory))
-            found["less csv_to_npz of mjlab"] = {name: beside.pop(name) for name in ARRAYS}
-            found["frames and s, its and ours"] = {"mjlab": beside}
+            heads = list(next(iter(beside.values())))
+            found["ours less csv_to_npz of mjlab"] = {
+                head: {title: row[head] for title, row in beside.items()} for head in heads
+            }
     if args.model:
         found["links of others"] = {str(path): model_difference(path) for path in args.model}
     if args.hour:

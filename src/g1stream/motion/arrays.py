@@ -594,20 +594,16 @@ def _numbers_below_header(content: bytes, name: str) -> Floats:
     Raises:
         MotionError: there are none.
     """
-    header, _, rows = content.partition(b"\n")
-    n_columns = header.count(b",") + 1
+    _, _, rows = content.partition(b"\n")
     try:
         if not rows.strip() or max(map(len, content.split(b"\n"))) > CSV_LINE:
             raise ValueError
-        values = np.loadtxt(io.BytesIO(rows), delimiter=",", comments=None, ndmin=2)
-        if values.shape[1] != n_columns:
-            raise ValueError
+        return np.loadtxt(io.BytesIO(rows), delimiter=",", comments=None, ndmin=2)
     except ValueError:
         raise MotionError(
             f"{name} is no table of numbers below a header.",
             "Give every line a number for each column that the first line names.",
         ) from None
-    return values
 
 
 def motions_in(file: MotionFile) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from g1stream.errors import MotionError, RobotError
 from g1stream.files import check_not_input, check_suffix, complete_directory, complete_file
 from g1stream.motion.arrays import SONIC_FILES, names_in_order
 from g1stream.motion.motion import ROOT_COLUMNS, Motion
-from g1stream.motion.spline import TrajectoryPoint
 from g1stream.robot.dynamics import centres_of_mass
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import BLOCK, forward_kinematics, link_velocities, pose_blocks
@@ -88,6 +87,24 @@ class Format(NamedTuple):
     layout: Layout | None = None
 
 
+class Frames(NamedTuple):
+    """The frames of a file in double precision; a row is as in `TrajectoryPoint`.
+
+    Its accelerations are not there, as no format has them.
+    """
+
+    joint_pos: Floats
+    joint_vel: Floats
+    root_pos: Floats
+    root_lin_vel: Floats
+    root_quat_wxyz: Floats
+    root_ang_vel: Floats
+
+
+#: Numbers in a row of each.
+_WIDTHS: Final = (N_JOINTS, N_JOINTS, 3, 3, 4, 3)
+
+
 class States(NamedTuple):
     """The motion of joints and bodies, as single precision, to which all readers convert.
 
@@ -131,12 +148,18 @@ class Take:
     on_progress: Callable[[float], None]
 
     @cached_property
-    def frames(self) -> TrajectoryPoint:
+    def frames(self) -> Frames:
         """The frames of the file, from the spline through those of the motion."""
-        assert self.format.fps
-        motion = self.motion
-        parts = [part for _, part in motion.samples(self.format.fps, 0, motion.n_frames)]
-        return TrajectoryPoint(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+        motion, fps = self.motion, self.format.fps
+        assert fps
+        n_at_most = int(motion.duration * fps) + 2
+        frames = Frames(*(np.empty((n_at_most, width)) for width in _WIDTHS))
+        last = 0
+        for numbers, point in motion.samples(fps, 0, motion.n_frames):
+            for name, values in frames._asdict().items():
+                values[numbers.start : numbers.stop] = getattr(point, name)
+            last = numbers.stop
+        return Frames(*(values[:last] for values in frames))
 
     @property
     def n_frames(self) -> int:
@@ -174,15 +197,15 @@ class Take:
     def states(self) -> States:
         """The joints and bodies of each frame."""
         frames, links, n_frames = self.frames, self.links, self.n_frames
-        joint_vel, root_lin_vel, ang_vel_w = self._rates()
-        root_ang_vel = quat_rotate_inverse(frames.root_quat_wxyz, ang_vel_w)
+        joint_vel, root_lin_vel, root_ang_vel = self._rates()
         points = centres_of_mass(self.robot) if self.layout.of_centre else None
         bodies = [np.empty((n_frames, len(links), n), np.float32) for n in (3, 4, 3, 3)]
         poses = pose_blocks(
             self.robot, frames.joint_pos, frames.root_pos, frames.root_quat_wxyz, links
         )
         for part, pose in poses:
-            rates = joint_vel[part], root_lin_vel[part], ang_vel_w[part]
+            ang_vel = quat_rotate(frames.root_quat_wxyz[part], root_ang_vel[part])
+            rates = joint_vel[part], root_lin_vel[part], ang_vel
             velocities = link_velocities(self.robot, pose, *rates, links, points)
             for values, block in zip(bodies, (*pose, *velocities), strict=True):
                 # Links are first in memory.
@@ -193,11 +216,11 @@ class Take:
         return States(*(one.astype(np.float32) for one in others), *bodies)
 
     def _rates(self) -> tuple[Floats, Floats, Floats]:
-        """Velocities of joints, (T, 29) rad/s, and of the pelvis, (T, 3) m/s and rad/s, world."""
+        """Velocities of joints, of the pelvis in the world, and of its turn in its own frame."""
         frames, fps = self.frames, self.format.fps
         quat = frames.root_quat_wxyz
         if self.velocities == "spline":
-            return frames.joint_vel, frames.root_lin_vel, quat_rotate(quat, frames.root_ang_vel)
+            return frames.joint_vel, frames.root_lin_vel, frames.root_ang_vel
         assert fps
         joints, root = (
             np.gradient(one, axis=0) * fps for one in (frames.joint_pos, frames.root_pos)
@@ -207,7 +230,8 @@ class Take:
         sine = np.linalg.norm(vector, axis=1, keepdims=True)
         angle = np.copysign(2.0 * np.arctan2(sine, np.abs(w)), w)
         ang_vel = angle * (vector / np.maximum(sine, 1e-300)) * (fps / 2.0)
-        return joints, root, np.concatenate([ang_vel[:1], ang_vel, ang_vel[-1:]])
+        ang_vel = np.concatenate([ang_vel[:1], ang_vel, ang_vel[-1:]])
+        return joints, root, quat_rotate_inverse(quat, ang_vel)
 
 
 def write_motion(

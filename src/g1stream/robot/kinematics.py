@@ -150,15 +150,16 @@ def link_velocities(
     lin[0], ang[0] = root_lin_vel.T, root_ang_vel.T
     speed = joint_vel.T[robot.joint_of_link, None]  # of a link without a joint the axis is zero
     *_, axis = _matrices(robot)
-    levels = robot.levels if links is None else _levels(robot, tuple(links))
-    for level in levels:
-        above = robot.parent[level]
-        ang[level] = ang[above] + (axis[level] @ _products(quat[level])) * speed[level]
+    offset = _turning(np.zeros_like(robot.origin_pos) if points is None else points)
+    shift = np.zeros(pos.shape)
+    shift[:1] = _cross(ang[:1], offset[:1] @ _products(quat[:1]))
+    for level in robot.levels if links is None else _levels(robot, tuple(links)):
+        above, products = robot.parent[level], _products(quat[level])
+        ang[level] = ang[above] + (axis[level] @ products) * speed[level]
         lin[level] = lin[above] + _cross(ang[above], pos[level] - pos[above])
-    if points is not None:
-        offset = _turning(points)
-        for level in (np.array([0]), *levels):
-            lin[level] += _cross(ang[level], offset[level] @ _products(quat[level]))
+        if points is not None:
+            shift[level] = _cross(ang[level], offset[level] @ products)
+    lin += shift
     return LinkVelocities(lin.transpose(2, 0, 1), ang.transpose(2, 0, 1))
 
 

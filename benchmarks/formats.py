@@ -1,7 +1,7 @@
 """Formats of motion files, written and read back: what is lost, how long it takes, who agrees.
 
     python benchmarks/formats.py [--motion CSV] [--hour] [--json]
-        [--model XML]... [--mjlab PYTHON]
+        [--model XML]... [--mjlab PYTHON] [--holosoma NPZ]
 
 - Round trip: each format is written and read again, at its frame rate, and compared with the spline
   at that rate: the largest difference of an angle, of a link's place, of the pelvis's height.
@@ -12,6 +12,8 @@
   random poses.
 - --mjlab: the Python of an environment with mjlab. Its own csv_to_npz converts ten seconds of the
   motion. Compared are ours of its frames at 50 fps with finite velocities, and ours of the motion.
+- --holosoma: a file that holosoma's converter made, such as sub3_largebox_003_mj.npz of its
+  repository. It is read, written in that format for each of our robots, and compared.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ import numpy as np
 import g1stream
 from g1stream.motion.writers import FORMATS, write_motion
 from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import REVISIONS
 
 CLIP: Final = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
 HOUR: Final = 3600 * 30
@@ -162,6 +165,36 @@ def beside_mjlab(motion: g1stream.Motion, python: str, directory: Path) -> dict[
     return found
 
 
+def beside_holosoma(path: Path, directory: Path) -> dict[str, Any]:
+    """Our bodies, joints and velocities less those in a file, bodies by name."""
+    motion, found = g1stream.load_motion(path), {}
+    with np.load(path) as file:
+        theirs = {name: file[name] for name in file}
+    names = theirs["body_names"].tolist()
+    for robot in REVISIONS:
+        ours_at = directory / "holosoma.npz"
+        write_motion(
+            motion,
+            ours_at,
+            "holosoma",
+            robot=g1stream.G1.load(robot),
+            velocities="finite",
+            force=True,
+        )
+        with np.load(ours_at) as ours:
+            columns = [names.index(name) for name in ours["body_names"].tolist()]
+            away = ours["body_pos_w"] - theirs["body_pos_w"][:, columns]
+            found[robot] = {
+                "bodies": len(columns),
+                "mm max": float(np.linalg.norm(away, axis=-1).max()) * 1e3,
+                "joint_pos max": difference(ours["joint_pos"], theirs["joint_pos"])["max"],
+                "joint_vel max": difference(ours["joint_vel"][:, 6:], theirs["joint_vel"][:, 6:])[
+                    "max"
+                ],
+            }
+    return found
+
+
 def table(rows: dict[str, dict[str, Any]], title: str) -> str:
     heads = list(next(iter(rows.values())))
     lines = [[title, *heads]]
@@ -181,6 +214,7 @@ def main() -> None:
     parser.add_argument("--one-hour-of", help=argparse.SUPPRESS)
     parser.add_argument("--model", type=Path, action="append", default=[])
     parser.add_argument("--mjlab")
+    parser.add_argument("--holosoma", type=Path)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     if args.one_hour_of:
@@ -198,6 +232,8 @@ def main() -> None:
             found["ours less csv_to_npz of mjlab"] = {
                 head: {title: row[head] for title, row in beside.items()} for head in heads
             }
+        if args.holosoma:
+            found["ours less holosoma's"] = beside_holosoma(args.holosoma, Path(directory))
     if args.model:
         found["links of others"] = {str(path): model_difference(path) for path in args.model}
     if args.hour:

@@ -344,6 +344,7 @@ def test_gmr_is_what_its_viewer_indexes(wild_motion, tmp_path, oracle):
             close(local[frame, names.index(name)], body.pos, 1e-6)
         for name, parent, offset in (
             ("left_toe_link", "left_ankle_roll_link", [0.1, 0, -0.02]),
+            ("right_toe_link", "right_ankle_roll_link", [0.1, 0, -0.02]),
             ("head_mocap", "torso_link", [0, 0, 0.4]),
         ):
             at = bodies[parent]

@@ -30,7 +30,7 @@ class Record(LiveCommand):
     Examples:
       g1stream record session.mcap
       g1stream record robot.mcap --config robot --interface eth0 --split-size 1000
-      g1stream record mine.mcap --live --motion dance.csv    # played by another program
+      g1stream record mine.mcap --live --motion dance.csv
 
     Exit codes:
       0  recorded

@@ -99,7 +99,7 @@ def test_an_unknown_setting_is_named_with_the_known_ones(write, text, unknown, c
         assert choice in error.remedy
 
 
-TABLES = [name for name in Config.model_fields if name not in ("robot", "live_port")]
+TABLES = [name for name in Config.model_fields if name not in ("robot", "params", "live_port")]
 
 
 @pytest.mark.parametrize("table", [*TABLES, "gains.kp"])

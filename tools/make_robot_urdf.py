@@ -108,7 +108,7 @@ def read_by_yourdfpy(urdf: str) -> dict[str, Any]:
     values = {
         field.name: getattr(robot, field.name)
         for field in fields(G1)
-        if field.name not in ("source", "urdf", "joint_set", "capped")
+        if field.name not in ("source", "urdf", "joint_set", "capped", "parameters")
     }
     values = {
         key: one.tolist() if isinstance(one, np.ndarray) else one for key, one in values.items()

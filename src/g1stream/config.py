@@ -47,6 +47,7 @@ __all__ = [
     "Config",
     "DdsConfig",
     "GainsConfig",
+    "ParametersFile",
     "RealtimeConfig",
     "RecordConfig",
     "SafetyConfig",
@@ -72,6 +73,8 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
 ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library")
+#: The commands that take `--params`.
+_PARAMS: Final = ("demo", "stream", "replay", "sim", "physics", "library")
 #: The commands that take `--live`.
 LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
 
@@ -301,6 +304,43 @@ class GainsConfig(Table):
 
     kp: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KP)]] = Field(default_factory=dict)
     kd: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KD)]] = Field(default_factory=dict)
+
+
+class ParametersFile(Table):
+    """The parameters of one G1, in a file of their own: `params` names it.
+
+    The tables of joints map a joint, a limb or a pattern to a value; later entries go over earlier
+    ones. Those of links map a link of the URDF to what is added to it. What is left out is as in
+    unitree_mujoco's model and in the URDF.
+    """
+
+    robot: str | None = setting(
+        None, "robot that masses and centres of mass are relative to", example="g1_29dof"
+    )
+    command_delay: float = setting(
+        0.0, "from when a LowCmd is received to when the motors obey it", "s", ge=0.0, le=0.1
+    )
+    damping: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
+        {}, "viscous friction", "N·m·s/rad"
+    )
+    friction: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
+        {}, "dry (Coulomb) friction", "N·m"
+    )
+    armature: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = setting(
+        {}, "inertia of the rotor, reflected to the joint", "kg·m²"
+    )
+    torque_scale: dict[str, Annotated[float, Field(ge=0.2, le=2.0)]] = setting(
+        {}, "torque that a motor applies, over the torque that its command asks for"
+    )
+    mass: dict[str, Annotated[float, Field(ge=-20.0, le=20.0)]] = setting(
+        {}, "added to a link at its centre of mass", "kg"
+    )
+    com: dict[
+        str,
+        Annotated[
+            list[Annotated[float, Field(ge=-0.5, le=0.5)]], Field(min_length=3, max_length=3)
+        ],
+    ] = setting({}, "shift of a link's centre of mass, in the link's frame", "m")
 
 
 class RecordConfig(Table):
@@ -578,6 +618,14 @@ class Config(Table):
         "unset, g1_29dof_rev_1_0, and for feed-forward the revision that fits better",
         flag=ROBOT_FLAG,
         example="g1_29dof",
+        strict=False,
+    )
+    params: Path | None = setting(
+        None,
+        "file of parameters of the robot, as `g1stream fit` writes it: friction, armature, delay, "
+        "torque and masses, for the simulator and for the torque of the feed-forward",
+        flag=_PARAMS,
+        example="g1.toml",
         strict=False,
     )
     live_port: int = setting(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
@@ -23,6 +24,7 @@ from g1stream.robot.dynamics import (
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
+from g1stream.robot.parameters import NOMINAL
 from g1stream.sim.world import Hanging, MotorCommand, World
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
@@ -245,7 +247,8 @@ def test_a_simulation_with_the_same_support_follows_with_small_gains(
     That is less than it takes to balance the trunk on the waist, so the torques are those of the
     measured pose: what is left is for the model to get right, and not for the gains.
     """
-    monkeypatch.setattr(module, "FRICTION", np.zeros(N_JOINTS))
+    smooth = replace(NOMINAL, friction=np.zeros(N_JOINTS))
+    monkeypatch.setattr(inverse, "_parameters", smooth)
     weight = inverse.mass * GRAVITY
 
     def pull(self):

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from g1stream.session.recording import Recording
-    from g1stream.session.records import MotionInfo, PhaseInterval
+    from g1stream.session.records import MotionInfo, ParametersInfo, PhaseInterval
     from g1stream.session.streams import Stream
 
 __all__ = [
@@ -141,6 +141,7 @@ def summarise(session: Recording) -> Summary:
         motion=info.motion,
         attached=session.attached,
         log=info.log,
+        params=info.params,
         settings=None if info.config is None else _changed_settings(info.config),
         gains={name: (min(values), max(values)) for name, values in gains if values} or None,
         phases=session.phases,
@@ -200,6 +201,7 @@ def summarise_run(
     config: Config,
     *,
     motion: MotionInfo | None = None,
+    params: ParametersInfo | None = None,
     termination: Termination | None = None,
     stream: StreamSummary | None = None,
     recorder: RecorderSummary | None = None,
@@ -217,6 +219,7 @@ def summarise_run(
         interface=config.dds.interface,
         versions={"g1stream": __version__},
         motion=motion,
+        params=params,
         settings=_changed_settings(config.model_dump(mode="json")),
         termination=termination or Termination(),
         stream=stream,

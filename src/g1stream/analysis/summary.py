@@ -19,6 +19,7 @@ from g1stream.session.records import (
     AttachedInfo,
     Int,
     MotionInfo,
+    ParametersInfo,
     Percentiles,
     PhaseInterval,
     PhaseName,
@@ -152,6 +153,7 @@ class Summary(Record):
         motion: what was played.
         attached: how it was found, where it was attached afterwards.
         log: what was made of the log of another program; empty of a session.
+        params: parameters of the robot that were given; None for the default ones.
         settings: those that are not the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
         joints: names of those that played the motion; None where that is not known.
@@ -183,6 +185,7 @@ class Summary(Record):
     motion: MotionInfo | None = None
     attached: AttachedInfo | None = None
     log: dict[str, str] = {}
+    params: ParametersInfo | None = None
     settings: dict[str, Any] | None = None
     gains: dict[str, tuple[float, float]] | None = None
     joints: list[str] | None = None
@@ -291,6 +294,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         ("phases", ", ".join(phases)),
         ("ended", _ended(summary.termination)),
         ("settings", "; ".join(settings)),
+        ("parameters", str(summary.params) if summary.params else ""),
         ("clock offsets", ", ".join(offsets)),
         ("not published", ", ".join(recorder.absent) if recorder else ""),
         ("attached", ", ".join(attached)),

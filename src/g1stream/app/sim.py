@@ -54,7 +54,7 @@ def simulate(
     """
     config = config or Config()
     settings = config.sim
-    model = G1.load(config.robot)
+    model = G1.load(config.robot, params=config.params)
     world = make_world(model, settings)
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))

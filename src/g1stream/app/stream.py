@@ -33,7 +33,7 @@ from g1stream.files import timestamped
 from g1stream.motion.motion import Motion
 from g1stream.realtime import describe, on_time
 from g1stream.session.parts import check_recording_path
-from g1stream.session.records import MotionInfo, RecorderSummary, StreamSummary
+from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 __all__ = ["stream"]
 
@@ -127,6 +127,7 @@ def _summarise(
     return summarise_run(
         planned.config,
         motion=MotionInfo.from_motion(planned.motion),
+        params=ParametersInfo.from_robot(planned.robot),
         termination=Termination(
             reason=report.reason,
             played_s=report.played / 1e9,

@@ -57,6 +57,8 @@ class FeedForward:
         onboard: the robot's own controller carries it, and only arms and waist are commanded. Their
             torque is that of a pelvis at rest in the attitude that the IMU measures, whatever the
             legs do.
+        torque_scale: (29,) torque that the motors apply over that which commands ask for; asked
+            for is the torque of the source divided by it.
 
     Attributes:
         kind, support: as decided when RAMP begins; None before.
@@ -79,6 +81,7 @@ class FeedForward:
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
         onboard: bool = False,
+        torque_scale: Floats | float = 1.0,
     ) -> None:
         self.kind: FeedForwardKind | None = None
         self.support: StreamSupport | None = None
@@ -90,6 +93,7 @@ class FeedForward:
         self._asked, self._told_support, self._torques = kind, support, source
         self._told_preview, self._told_scale = preview, time_scale or 1.0
         self._onboard = onboard
+        self._torque_scale = torque_scale
         self._limit = limit
         self._period = period
         self._weight = 1.0  # of the torque, 0 while faded out
@@ -181,7 +185,7 @@ class FeedForward:
             target = self.source.repeated(target)
         else:
             target = self.source.command(moment._replace(target=target))
-            self._tau = target.tau
+            self._tau = target.tau / self._torque_scale
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))
         self._log_change(fault, target.motion_time)

@@ -29,7 +29,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.parameters import NOMINAL
 from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.robot.model import G1
+    from g1stream.robot.parameters import Parameters
     from g1stream.types import Support
 
 __all__ = [
@@ -133,6 +135,7 @@ class InverseDynamics:
         self._mujoco: Any = mujoco
         self._model: Any = model
         self._data: Any = mujoco.MjData(model)
+        self._parameters = robot.parameters
         self._present = np.flatnonzero(robot.present)
         joints = [model.joint(JOINT_NAMES[i]) for i in self._present]
         self._q = np.array([joint.qposadr[0] for joint in joints])
@@ -182,7 +185,7 @@ class InverseDynamics:
         total = self._inverse() - external
         base_acc = acc[:_BASE].copy()
         tau = np.zeros(N_JOINTS)
-        tau[self._present] = total[v] + friction_torque(dq)[self._present]
+        tau[self._present] = total[v] + friction_torque(dq, self._parameters)[self._present]
         return Solution(tau, base_acc[:3], base_acc[3:], total[:_BASE])
 
     def _place(self, q: Floats, dq: Floats, base: BaseMotion) -> None:
@@ -258,7 +261,7 @@ class InverseDynamics:
 
 
 def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
-    """A `mujoco.MjSpec` of the robot's URDF, with the motors' inertia and dry friction.
+    """A `mujoco.MjSpec` of the robot's URDF and parameters, with rotors and dry friction.
 
     Every link is a body with the link's name, and the base is the first body of the world. Meshes
     are left out; the joints of fingers are fixed at zero.
@@ -273,6 +276,7 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
 
     Raises:
         ValueError: MuJoCo does not accept the URDF.
+        ConfigError: the parameters name a link that it does not have.
     """
     import mujoco
 
@@ -281,9 +285,10 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
         spec.worldbody.first_body().add_freejoint()
     for motor in np.flatnonzero(robot.present):
         joint = spec.joint(JOINT_NAMES[motor])
-        joint.armature = ARMATURE[motor]
-        joint.frictionloss = FRICTION[motor]
+        joint.armature = robot.parameters.armature[motor]
+        joint.frictionloss = robot.parameters.friction[motor]
         joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
+    robot.parameters.apply_to_links(spec)
     return spec
 
 
@@ -347,12 +352,13 @@ def centres_of_mass(robot: G1) -> Floats:
     return centres
 
 
-def friction_torque(dq: Floats) -> Floats:
+def friction_torque(dq: Floats, parameters: Parameters = NOMINAL) -> Floats:
     """Torque (29,) against damping and dry friction at joint speeds dq (29,) rad/s, N·m.
 
     Dry friction is smoothed around zero speed, where its direction is unknown.
     """
-    torque: Floats = DAMPING * dq + FRICTION * np.tanh(dq / _STICTION_SPEED)
+    dry = parameters.friction * np.tanh(dq / _STICTION_SPEED)
+    torque: Floats = parameters.damping * dq + dry
     return torque
 
 

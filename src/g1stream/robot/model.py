@@ -17,6 +17,7 @@ import numpy as np
 from g1stream.errors import ConfigError, RobotError
 from g1stream.files import read_file
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, TORQUE_LIMIT, JointSet, select_joints
+from g1stream.robot.parameters import NOMINAL, Parameters, load_parameters
 from g1stream.robot.urdf import parse_urdf, read_urdf, without_world
 from g1stream.text import listed
 
@@ -67,6 +68,7 @@ class G1:
         ignored_joints: moving joints that are not the G1's own (fingers); they are held at zero.
         capped: joints whose limits in the URDF are wider than those of every robot in this package,
             and were narrowed to these.
+        parameters: of its motors and links, beside the URDF.
     """
 
     source: str
@@ -85,6 +87,7 @@ class G1:
     ignored_joints: tuple[str, ...]
     joint_set: JointSet = JOINT_SETS[0]
     capped: tuple[str, ...] = ()
+    parameters: Parameters = NOMINAL
     joint_names: ClassVar = JOINT_NAMES
 
     def __post_init__(self) -> None:
@@ -146,7 +149,13 @@ class G1:
         return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
 
     @classmethod
-    def load(cls, path: str | Path | None = None, *, own_limits: bool = False) -> G1:
+    def load(
+        cls,
+        path: str | Path | None = None,
+        *,
+        own_limits: bool = False,
+        params: Path | None = None,
+    ) -> G1:
         """The robot of a URDF file, or of a name in `REVISIONS` or `VARIANTS`; the first if None.
 
         Mesh files need not exist: only names, frames and limits are read. Limits that are wider
@@ -156,10 +165,23 @@ class G1:
         Args:
             path: of the URDF, or a name.
             own_limits: keep the URDF's limits however wide they are.
+            params: file of its parameters; where it names a robot, that is the one if `path` is
+                None.
 
         Raises:
             RobotError: there is no such file, or it does not describe a G1.
+            ConfigError: the parameters are not valid, or are those of another robot.
         """
+        if params is not None:
+            parameters = load_parameters(params)
+            robot = cls.load(path or parameters.robot, own_limits=own_limits)
+            if parameters.robot not in (None, robot.name):
+                raise ConfigError(
+                    f"The parameters {params} are those of {parameters.robot}, not of "
+                    f"{robot.name}.",
+                    "Leave --robot out, or fit the parameters anew with this robot.",
+                )
+            return replace(robot, parameters=parameters)
         if path is None:
             return cls.default()
         if str(path) in (*REVISIONS, *VARIANTS) and not Path(path).exists():

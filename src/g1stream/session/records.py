@@ -7,6 +7,7 @@ None stands for what is not known; units are part of the names.
 from __future__ import annotations
 
 from itertools import accumulate
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -40,6 +41,7 @@ __all__ = [
     "Int",
     "MeasuredTf",
     "MotionInfo",
+    "ParametersInfo",
     "Percentiles",
     "PhaseInterval",
     "PhaseName",
@@ -169,6 +171,41 @@ class MotionInfo(Record):
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
+class ParametersInfo(Record):
+    """The parameters of the robot that were in use, see `g1stream.robot.parameters`.
+
+    Attributes:
+        path: of their file.
+        sha256: of that file.
+        values: as the file has them.
+    """
+
+    path: str | None = None
+    sha256: str | None = None
+    values: dict[str, Any] = {}
+
+    @classmethod
+    def from_robot(cls, robot: G1) -> ParametersInfo | None:
+        """Those of a robot; None where it has the default ones."""
+        parameters = robot.parameters
+        if parameters.path is None:
+            return None
+        return cls(
+            path=str(parameters.path), sha256=parameters.sha256, values=dict(parameters.values)
+        )
+
+    def __str__(self) -> str:
+        """In a line: the file, and how many values of each kind, or the one."""
+        parts = [Path(self.path).name if self.path else "unknown"]
+        for name, value in self.values.items():
+            what = name.replace("_", " ")
+            if isinstance(value, dict):
+                parts.append(f"{what} of {len(value)}")
+            else:
+                parts.append(f"{what} {value}{' s' if name == 'command_delay' else ''}")
+        return ", ".join([*parts, *([f"sha256 {self.sha256[:12]}"] if self.sha256 else [])])
+
+
 class PolicyInfo(Record):
     """The learned policy that played.
 
@@ -270,6 +307,7 @@ class SessionInfo(Record):
         joints: names of those that play the motion; None in files of earlier versions: all.
         absent: names of those that the robot does not have.
         policy: that plays; None where none does.
+        params: parameters of the robot that were given; None for the default ones.
         config: all settings of the streamer.
     """
 
@@ -286,6 +324,7 @@ class SessionInfo(Record):
     joints: list[str] | None = None
     absent: list[str] = []
     policy: PolicyInfo | None = None
+    params: ParametersInfo | None = None
     config: dict[str, Any] | None = None
 
     @classmethod
@@ -306,7 +345,9 @@ class SessionInfo(Record):
             gains: arrays (29,) by the names in `Gains`.
             policy: that plays it.
         """
-        told = {"policy": policy} if policy else {}
+        params = ParametersInfo.from_robot(robot)
+        told: dict[str, Any] = {"policy": policy} if policy else {}
+        told |= {"params": params} if params else {}
         return cls(
             **told,
             motion=MotionInfo.from_motion(motion),

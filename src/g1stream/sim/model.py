@@ -9,7 +9,7 @@ import numpy as np
 from g1stream.errors import SimError
 from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.hulls import add_hulls, never_collide, read_hulls
-from g1stream.robot.joints import DAMPING, JOINT_NAMES, TORQUE_LIMIT
+from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
 
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
@@ -51,7 +51,7 @@ def build_model(
     contact parameters.
 
     Args:
-        robot: whose URDF to use.
+        robot: whose URDF and parameters to use.
         floating: give the base a free joint; otherwise it is fixed to the world.
         driven: weld the base to a mocap body `base_target`, by an equality of that name.
         timestep: s.
@@ -83,7 +83,8 @@ def build_model(
             "Correct the URDF; every moving link needs a mass and an inertia.",
         ) from error
     for motor in np.flatnonzero(robot.present):
-        model.dof_damping[model.joint(JOINT_NAMES[motor]).dofadr[0]] = DAMPING[motor]
+        dof = model.joint(JOINT_NAMES[motor]).dofadr[0]
+        model.dof_damping[dof] = robot.parameters.damping[motor]
     return model
 
 

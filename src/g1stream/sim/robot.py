@@ -74,7 +74,7 @@ class SimulatedRobot:
 
     Args:
         world: its physics.
-        config: rate of LowState, command delay and timeout, noise.
+        config: rate of LowState, command delay (beside that of the world) and timeout, noise.
         mode_machine: of the kind of G1 that the world simulates.
         noise: may change a LowState before it is published; `SensorNoise` with `config.noise` and
             `config.seed` if None.
@@ -99,7 +99,7 @@ class SimulatedRobot:
         self._noise = noise or SensorNoise(config.noise, config.seed)
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
-        self._delay = round(config.command_delay * 1e9)
+        self._delay = round((config.command_delay + world.command_delay) * 1e9)
         self._arriving: deque[tuple[int, bytes]] = deque()  # with when they take effect, ns
         self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
         self._sport_mode_state, self._secondary_imu = SportModeState(), SecondaryImu()

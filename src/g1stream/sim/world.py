@@ -48,7 +48,8 @@ PUSH_PERIOD: Final = 5.0
 class MotorCommand(NamedTuple):
     """Commands to the motors, (29,) in motor order.
 
-    The torque of a motor is tau + kp (q - measured q) + kd (dq - measured dq).
+    The torque of a motor is tau + kp (q - measured q) + kd (dq - measured dq), times the torque
+    scale of the robot's parameters.
     """
 
     enabled: NDArray[np.bool_]  # a motor that is not enabled gives no torque
@@ -113,6 +114,7 @@ class World:
         data: its `mujoco.MjData`, for a viewer.
         timestep: s.
         present: (29,) which joints the robot has; the state of the others is 0.
+        command_delay: s, of the robot's parameters; for whoever passes commands on.
 
     Raises:
         SimError: the robot cannot be simulated.
@@ -147,6 +149,8 @@ class World:
         self._loose = 0  # timesteps since the base was let go
         self._support.place(self._support.height if base_height is None else base_height)
         self.present = robot.present
+        self.command_delay = robot.parameters.command_delay
+        self._torque_scale = robot.parameters.torque_scale
         self._motors = np.flatnonzero(self.present)
         joints = [self.model.joint(JOINT_NAMES[motor]) for motor in self._motors]
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
@@ -211,9 +215,10 @@ class World:
 
     def _set_motors(self, command: MotorCommand) -> None:
         kp, kd, work, control = self._kp, self._kd, self._work, self._control
-        np.multiply(command.kp, command.enabled, out=kp)
-        np.multiply(command.kd, command.enabled, out=kd)
-        np.multiply(command.tau, command.enabled, out=control)
+        applied = self._torque_scale * command.enabled
+        np.multiply(command.kp, applied, out=kp)
+        np.multiply(command.kd, applied, out=kd)
+        np.multiply(command.tau, applied, out=control)
         np.multiply(kp, command.q, out=work)
         control += work
         np.multiply(kd, command.dq, out=work)

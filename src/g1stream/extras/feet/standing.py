@@ -80,6 +80,7 @@ class StandingDynamics:
         import mujoco
 
         soles = Soles(robot)
+        self._parameters = robot.parameters
         self._mujoco: Any = mujoco
         model = mujoco_spec(robot, floating=True, shapes=False).compile()
         model.opt.gravity[:] = 0.0, 0.0, -GRAVITY
@@ -222,7 +223,7 @@ class StandingDynamics:
         leg_acc = led[:, :6] @ base_acc
         leg_acc[:, -1] += led[:, 6]
         tau = m[_BASE:, base] @ base_acc + m[_BASE:, legs] @ leg_acc
-        tau[:, -1] += given[_BASE:] + friction_torque(friction_at)
+        tau[:, -1] += given[_BASE:] + friction_torque(friction_at, self._parameters)
         tau[:LEGS, :-1] -= jac[:, legs].T
         return Terms(
             soles,

@@ -50,7 +50,8 @@ OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
 """The directory of a library with the files that a command writes."""
 
 #: Settings that change nothing in a simulation: where on DDS, when on the CPU, what is recorded.
-_WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port"}
+#: Parameters count by their content, wherever their file is.
+_WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
 #: What the robot of a picture is drawn of, a line each, by links.
 _LIMBS: Final = (
     ("left_ankle_roll_link", "left_knee_link", "left_hip_roll_link", "pelvis"),
@@ -125,13 +126,16 @@ class LibraryCase:
     @cached_property
     def fingerprint(self) -> str:
         """Equal where command, variant, settings and versions are."""
+        robot = _robot(self.config)
         about: dict[str, Any] = {
             "command": self.command,
             "variant": self.variant,
             "table": FORMAT,
-            "robot": _robot(self.config).urdf,
+            "robot": robot.urdf,
             "g1stream": __version__,
         }
+        if robot.parameters.sha256 and self.command != "convert":
+            about["params"] = robot.parameters.sha256
         if self.command != "convert":
             about["mujoco"] = version("mujoco")
         if self.command == "check":
@@ -209,12 +213,12 @@ def _file_hash(path: Path) -> str:
 
 
 @cache
-def _robot_at(path: Path | None, own_limits: bool) -> G1:
-    return G1.load(path, own_limits=own_limits)
+def _robot_at(path: Path | None, own_limits: bool, params: Path | None) -> G1:
+    return G1.load(path, own_limits=own_limits, params=params)
 
 
 def _robot(config: Config) -> G1:
-    return _robot_at(config.robot, config.safety.urdf_limits)
+    return _robot_at(config.robot, config.safety.urdf_limits, config.params)
 
 
 def _limits(config: Config) -> tuple[float, float]:

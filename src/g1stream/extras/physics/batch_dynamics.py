@@ -55,6 +55,7 @@ class BatchInverseDynamics:
         self.carrier = int(np.searchsorted(bodies, moved_with[model.body(_CARRIER).id]))
         self.axes = robot.axis[self.links[1:]].T[..., np.newaxis]
         dofs = [model.joint(JOINT_NAMES[joint]).dofadr[0] for joint in self.joints]
+        self.parameters = robot.parameters
         self.armature = model.dof_armature[dofs, np.newaxis]
         self.masses = np.empty((len(bodies), 1))
         self.centres = np.empty((3, len(bodies), 1))  # in the frame of the body
@@ -110,7 +111,8 @@ class MovementBatch:
         self._joint_ang_acc = self._axes * accelerations
         self._rotor_torque = np.zeros_like(joint_vel)  # that of friction is included
         self._rotor_torque[:, robot.joints] = (robot.armature * accelerations).T
-        self._rotor_torque[:, robot.joints] += friction_torque(joint_vel)[:, robot.joints]
+        friction = friction_torque(joint_vel, robot.parameters)
+        self._rotor_torque[:, robot.joints] += friction[:, robot.joints]
 
     def bolted(self) -> Floats:
         """The torques (T, 29), N·m, with an upright pelvis at rest."""

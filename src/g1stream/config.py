@@ -72,9 +72,9 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 #: The commands that play on a robot.
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
-ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library")
+ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library", "simulate")
 #: The commands that take `--params`.
-_PARAMS: Final = ("demo", "stream", "replay", "sim", "physics", "library")
+_PARAMS: Final = ("demo", "stream", "replay", "sim", "physics", "library", "simulate")
 #: The commands that take `--live`.
 LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
 

@@ -74,6 +74,7 @@ _MOST_POINTS: Final = 4000
 #: A phase that takes less of the width than this is not named in the figure.
 _NARROW: Final = 0.04
 
+_SIMULATED: Final = {"color": "#c2185b", "linewidth": 1.2}
 _ASKED: Final[Mapping[str, Any]] = {
     "color": _DARK,
     "linewidth": 1.0,
@@ -336,6 +337,7 @@ def _draw_panel(axes: Axes, drawn: Signal, joint: int, view: tuple[float, float]
         shown = min_max(values, _MOST_POINTS)
         solid: dict[str, Any] = {"color": COLOURS[_GROUP_OF[joint]], "linewidth": 1.6}
         how = _ASKED if line is not drawn.lines[-1] else solid
+        how = _SIMULATED if line.name == "simulated" else how
         axes.plot(times[shown], values[shown], label=line.name, **how)
 
 

@@ -9,17 +9,28 @@ import numpy as np
 
 from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
-from g1stream.errors import ConfigError
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import motion_of
 from g1stream.session.streams import CommandStream, MeasuredStream, ReferenceStream
 from g1stream.types import Floats, Ints, Phase
+from g1stream.view.encoders import JointStatesTemplate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from g1stream.session.recording import Recording
 
-__all__ = ["QUANTITIES", "Line", "Quantity", "Signal", "chosen_quantities", "min_max", "signal"]
+__all__ = [
+    "QUANTITIES",
+    "SIMULATED",
+    "Line",
+    "Quantity",
+    "Signal",
+    "chosen_quantities",
+    "min_max",
+    "signal",
+]
 
 Quantity = Literal["q", "dq", "tau", "error"]
 """What a plot shows of a joint: position, velocity, torque, tracking error."""
@@ -28,6 +39,9 @@ QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
 
 #: Where a stream has no sample for longer than this, s, its line is interrupted.
 _GAP: Final = 0.05
+
+SIMULATED: Final = "/simulated/joint_states"
+"""Where `g1stream simulate` writes the joints that it simulated."""
 
 
 class Line(NamedTuple):
@@ -145,12 +159,30 @@ def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
         lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
+    lines += _simulated(session, column)
     if session.topics.get(MeasuredStream.topic):
         measured = session.measured.read(column)
         lines.append(
             Line.from_samples("measured", measured.time, _degrees(getattr(measured, column)))
         )
     return tuple(lines)
+
+
+def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Line]:
+    """What `g1stream simulate` added to the session, in the unit of the signal; or nothing."""
+    if not session.topics.get(SIMULATED):
+        return []
+    template = JointStatesTemplate(JOINT_NAMES, ("position", "velocity", "effort"))
+    try:
+        values = template.decode([message.data for message in session.messages(SIMULATED)])
+    except ValueError as error:
+        raise RecordingError(
+            f"{SIMULATED} in {session.path} cannot be decoded: {error}.",
+            "Simulate the session again, with this version of g1stream.",
+        ) from error
+    chosen = values[:, :, ("q", "dq", "tau").index(column)]
+    time = session.times[SIMULATED].time
+    return [Line.from_samples("simulated", time, chosen if column == "tau" else _degrees(chosen))]
 
 
 def _errors(session: Recording) -> tuple[Line, ...]:
@@ -176,5 +208,6 @@ def _torques(session: Recording) -> tuple[Line, ...]:
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(CommandStream.topic):
             lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
+        lines += _simulated(session, "tau")
         lines.append(Line.from_samples("estimated", measured.time, measured.tau))
     return tuple(lines)

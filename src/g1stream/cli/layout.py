@@ -27,7 +27,7 @@ class Layout(Command):
     """Writes a layout file, which shows a session's robot, ghost, worst joints, torques and timing.
 
     With a session, the six joints with the greatest error in it are plotted, and where a learned
-    policy played, its delays and actions.
+    policy played, its delays and actions. What `g1stream simulate` simulated is plotted, too.
 
     Examples:
       g1stream layout lichtblick session.mcap
@@ -55,15 +55,17 @@ class Layout(Command):
         from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
-        policy = False
+        policy = simulated = False
         if self.session:
             recording = open_recording(self.session)
             joints = worst_joints(recording, len(joints)) or joints
             policy = bool(recording.topics.get("/policy/terms"))
+            simulated = bool(recording.topics.get("/simulated/joint_states"))
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:
-            content = json.dumps(foxglove_layout(joints, policy=policy), indent=1).encode() + b"\n"
+            layout = foxglove_layout(joints, policy=policy, simulated=simulated)
+            content = json.dumps(layout, indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
         with output_errors(self.dir):

@@ -68,6 +68,10 @@ COMMANDS: Final = {
             "extras.report.compare_cli:Compare",
             "Compare sessions of a motion: what got better or worse.",
         ),
+        "simulate": (
+            "extras.fit.simulate_cli:Simulate",
+            "Simulate the commands of a session: where robot and simulator differ.",
+        ),
         "render": (
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",

@@ -223,6 +223,11 @@ _ALL: Final = (
     _foxglove("/reference/joint_states", JointStates, "joints of the reference"),
     _foxglove("/measured/joint_states", JointStates, "joints as the motors report them"),
     _foxglove(
+        "/simulated/joint_states",
+        JointStates,
+        "joints of a simulated robot that got the recorded commands",
+    ),
+    _foxglove(
         "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
     ),
     _foxglove(

@@ -154,9 +154,9 @@ class World:
         self._motors = np.flatnonzero(self.present)
         joints = [self.model.joint(JOINT_NAMES[motor]) for motor in self._motors]
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        self._places = np.array([joint.qposadr[0] for joint in joints])
         if joint_pos is not None:
-            places = [joint.qposadr[0] for joint in joints]
-            self.data.qpos[places] = np.asarray(joint_pos)[self._motors]
+            self.data.qpos[self._places] = np.asarray(joint_pos)[self._motors]
         self._base_pos = self.data.sensor("frame_pos").data
         self._base_lin_vel = self.data.sensor("frame_vel").data
         self._kp, self._kd, self._work, self._control = np.zeros((4, N_JOINTS))
@@ -212,6 +212,22 @@ class World:
     def set_reference(self, root: Root) -> None:
         """Give the support the base pose of the reference."""
         self._support.set_reference(root)
+
+    def set_state(self, joint_pos: ArrayLike, joint_vel: ArrayLike, root: Root) -> None:
+        """Put the robot into a state at once, as one that was measured.
+
+        Args:
+            joint_pos: (29,) rad, motor order.
+            joint_vel: (29,) rad/s.
+            root: of the base; a bolted one only gets the attitude, a free one is let go.
+        """
+        import mujoco
+
+        self.data.qpos[self._places] = np.asarray(joint_pos)[self._motors]
+        self.data.qvel[self._dofs] = np.asarray(joint_vel)[self._motors]
+        self.data.qacc_warmstart[:] = 0.0
+        self._support.move(root)
+        mujoco.mj_forward(self.model, self.data)
 
     def _set_motors(self, command: MotorCommand) -> None:
         kp, kd, work, control = self._kp, self._kd, self._work, self._control
@@ -279,6 +295,11 @@ class BaseSupport:
         self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
         self._base_vel[:] = 0.0
 
+    def move(self, root: Root) -> None:
+        """Give the base a pose and a velocity at once."""
+        self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
+        self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
+
     def hold(self) -> None:
         """Set the outer forces of the next physics step."""
 
@@ -301,10 +322,13 @@ class Bolted(BaseSupport):
     floating = False
 
     def __init__(self, model: Any, data: Any) -> None:
-        self._base_pos = model.body_pos[BASE_BODY]
+        self._base_pos, self._base_quat = model.body_pos[BASE_BODY], model.body_quat[BASE_BODY]
 
     def place(self, height: float) -> None:
         self._base_pos[:] = 0.0, 0.0, height
+
+    def move(self, root: Root) -> None:
+        self._base_quat[:] = root.quat_wxyz
 
 
 class Hanging(BaseSupport):
@@ -379,14 +403,14 @@ class Follow(BaseSupport):
     def set_reference(self, root: Root) -> None:
         first = self._reference_age > self._TIMEOUT
         if first or np.abs(root.pos - self._pos).max() > self._LEAP:
-            self._move_base(root)
+            super().move(root)
         self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
         self._vel[:], self._ang_vel[:] = root.lin_vel, root.ang_vel
         self._reference_age = 0.0
 
-    def _move_base(self, root: Root) -> None:
-        self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
-        self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
+    def move(self, root: Root) -> None:
+        super().move(root)
+        self.set_reference(root)
 
 
 class Free(Follow):
@@ -410,13 +434,17 @@ class Free(Follow):
         if self._weld[0]:
             super().hold()
 
+    def move(self, root: Root) -> None:
+        BaseSupport.move(self, root)
+        self._weld[0] = False
+
     def set_reference(self, root: Root) -> None:
         if root.playing:
             self._weld[0] = False
             return
         if not self._weld[0]:
             self._weld[0] = True
-            self._move_base(root)
+            BaseSupport.move(self, root)
         super().set_reference(root)
 
 

@@ -194,6 +194,14 @@ class JointStatesTemplate:
         """
         return self._template.fill(times_ns, np.stack([np.asarray(c) for c in columns], axis=-1))
 
+    def decode(self, messages: Sequence[bytes]) -> Floats:
+        """The numbers (T, J, fields) of messages that `encode` made.
+
+        Raises:
+            ValueError: one of them is of another kind.
+        """
+        return self._template.read(messages)
+
 
 class _Template:
     """One serialised message, and where its doubles and its timestamps are."""
@@ -221,6 +229,14 @@ class _Template:
         packed = _timestamp_bytes(*np.divmod(times, _NS_PER_S)).view(f"V{_TIMESTAMP_SIZE}")
         _windows(rows, f"V{_TIMESTAMP_SIZE}")[:, self._timestamps] = packed
         return rows
+
+    def read(self, messages: Sequence[bytes]) -> Floats:
+        """The doubles (T, ...) of messages that `fill` made."""
+        if any(len(message) != len(self._bytes) for message in messages):
+            raise ValueError(f"a message does not have {len(self._bytes)} bytes")
+        rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, len(self._bytes))
+        doubles: Floats = _windows(rows, "<f8")[:, self._doubles]
+        return doubles.reshape(-1, *self._shape)
 
 
 def _windows(rows: NDArray[np.uint8], dtype: str) -> NDArray[Any]:

@@ -22,6 +22,7 @@ __all__ = [
 
 #: Of the reference, of what is measured, and of limits.
 _REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
+_SIMULATED: Final = "#ff5fa2"
 #: One for each of `JOINT_GROUPS`.
 _LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
 #: The robots and the path in the 3D panel, and which of them are shown at first.
@@ -44,7 +45,11 @@ DEFAULT_JOINTS: Final = (
 
 
 def foxglove_layout(
-    joints: Sequence[str], robot: G1 | None = None, *, policy: bool = False
+    joints: Sequence[str],
+    robot: G1 | None = None,
+    *,
+    policy: bool = False,
+    simulated: bool = False,
 ) -> dict[str, Any]:
     """A layout for Foxglove and Lichtblick, as the JSON that they import.
 
@@ -52,6 +57,7 @@ def foxglove_layout(
         joints: names of up to six joints to plot.
         robot: whose frames are hidden and whose torque limits are drawn; the default one if None.
         policy: whether to plot the steps of a learned policy, too.
+        simulated: whether to plot what `g1stream simulate` simulated, too.
     """
     robot = robot or G1.default()
     panels: dict[str, Any] = {
@@ -99,6 +105,7 @@ def foxglove_layout(
                     _REFERENCE,
                 ),
                 (_joint_path("/measured/joint_states", joint, "position"), "measured", _MEASURED),
+                *_simulated(joint, "position", simulated),
             ],
         )
         panels[torque] = _plot(
@@ -110,6 +117,7 @@ def foxglove_layout(
                     _REFERENCE,
                 ),
                 (_joint_path("/measured/joint_states", joint, "effort"), "estimated", _MEASURED),
+                *_simulated(joint, "effort", simulated),
                 (f"{limit:g}", "limit", _RED),
                 (f"{-limit:g}", "-limit", _RED),
             ],
@@ -134,6 +142,12 @@ def foxglove_layout(
         "playbackConfig": {"speed": 1},
         "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 46},
     }
+
+
+def _simulated(joint: str, field: str, shown: bool) -> list[tuple[str, str, str]]:
+    """The series of a simulated joint, if it is to be shown."""
+    path = _joint_path("/simulated/joint_states", joint, field)
+    return [(path, "simulated", _SIMULATED)] if shown else []
 
 
 def _policy_panels(joints: Sequence[str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@
   document.head.append(script);
   const drawn = JSON.parse(await unpack("figures"));
 
-  const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef";
+  const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef", PINK = "#c2185b";
   const EVENTS = { event: MUTED, warning: "#d97706", error: "#b3261e" };
   const KINDS = { WARNING: "warning", ERROR: "error", FATAL: "error" }; // by level
   const MOTION_TIME = "time in the motion, s";
@@ -86,7 +86,8 @@
       for (const [i, quantity] of rows.entries()) {
         const { lines, label } = session.signals[quantity], n = i ? i + 1 : "";
         const curves = lines.map((one, k) => {
-          const style = k < lines.length - 1 ? { width: 1, color: DARK, dash: "dash" }
+          const style = one.name === "simulated" ? { width: 1.2, color: PINK }
+            : k < lines.length - 1 ? { width: 1, color: DARK, dash: "dash" }
             : { width: 1.5, color: session.colours[chosen] };
           return line({ ...one.joints[chosen], name: one.name },
             { yaxis: `y${n}`, legend: `legend${n}`, showlegend: true, line: style });

@@ -1,0 +1,1 @@
+"""The gap between robot and simulator: commands simulated again, and parameters fitted."""

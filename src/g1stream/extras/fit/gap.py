@@ -1,0 +1,421 @@
+"""The gap between a robot and the simulator: what the commands of a session do to each.
+
+The simulated robot gets the recorded commands at their times, in windows that begin with the
+measured state. What is left between the two is compared with the noise of the session, and
+explained by simple regressions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g1stream.analysis.signals import SIMULATED
+from g1stream.app.session import Session, open_session
+from g1stream.extras.fit.recorded import Recorded, noise_of, smoothed
+from g1stream.extras.fit.simulation import Simulated, simulate_commands, world_support
+from g1stream.robot.dynamics import GRAVITY, BaseMotion, InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1, REVISIONS, VARIANTS
+from g1stream.session.format import CHANNELS
+from g1stream.session.records import ParametersInfo, Record
+from g1stream.session.source import MemorySource
+from g1stream.text import labelled, table
+from g1stream.types import Floats
+from g1stream.view.encoders import JointStatesTemplate
+
+__all__ = ["Cause", "Gap", "JointGap", "excess", "gap", "motor_torque", "robot_of", "torque_delay"]
+
+_FIELDS: Final = ("position", "velocity", "effort")
+#: A joint differs where the RMS of the difference in position, without noise, is above this, rad,
+#: and above twice its noise.
+_DIFFERS: Final = 5e-4
+#: A cause is named where it explains this share of the difference, and is so many standard errors.
+_SHARE: Final = 0.1
+_ERRORS: Final = 4.0
+#: Accelerations and velocities are those of positions smoothed to so many Hz.
+_CUTOFF: Final = 15.0
+#: Every so many LowStates count in a regression: those between tell the same.
+_EVERY: Final = 5
+#: Dry friction has its full value from about this speed on, rad/s.
+_STICTION_SPEED: Final = 0.05
+#: A joint that is slower on average (RMS) tells neither viscous friction nor inertia, rad/s.
+_MOVES: Final = 0.1
+#: Delays of commands that are tried, s.
+_LONGEST_DELAY: Final = 0.03
+#: Of a motor's limit, from which on it is saturated.
+_SATURATED: Final = 0.99
+
+
+class Cause(Record):
+    """What explains a part of a joint's difference.
+
+    Attributes:
+        name: dry friction, viscous friction, inertia, weight, constant torque, backlash, lag or
+            saturation.
+        amount: of the robot more than of the simulator.
+        unit: of that.
+        share: of the variance of the difference that it explains; for lag and saturation None.
+    """
+
+    name: str
+    amount: float
+    unit: str
+    share: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.amount:+.2g} {self.unit}".rstrip()
+
+
+class JointGap(Record):
+    """A joint: RMS of measured - simulated, and the noise of what is measured.
+
+    Attributes:
+        q_rad, dq_rad_s, tau_nm: RMS of the difference.
+        q_noise_rad, dq_noise_rad_s, tau_noise_nm: standard deviation of the noise: that of what is
+            measured, see `noise_of`, and that of the state that a window begins with.
+        differs: whether positions differ by more than noise, the worst window left out.
+        causes: what explains the difference, the greatest share first; empty where it does not.
+    """
+
+    q_rad: float
+    q_noise_rad: float
+    dq_rad_s: float
+    dq_noise_rad_s: float
+    tau_nm: float
+    tau_noise_nm: float
+    differs: bool = False
+    causes: list[Cause] = []
+
+    @property
+    def excess_rad(self) -> float:
+        """RMS of the difference in position without the noise, rad."""
+        return float(excess(np.array(self.q_rad), np.array(self.q_noise_rad)))
+
+
+class Gap(Record):
+    """How a session differs from the simulation of its commands.
+
+    Attributes:
+        session: its name.
+        robot: name of the simulated one.
+        params: its parameters; None for the default ones.
+        support: how the simulated base was held.
+        window_s: length of a window.
+        simulated_s: of all windows.
+        delay_s: by how much torques are later than those of the commands that the simulator would
+            obey; None where that cannot be told.
+        q_rad: RMS of the differences in position of all joints, without noise.
+        joints: by name, those that differ most first.
+    """
+
+    session: str
+    robot: str
+    params: ParametersInfo | None = None
+    support: str
+    window_s: float
+    simulated_s: float
+    delay_s: float | None = None
+    q_rad: float
+    joints: dict[str, JointGap]
+
+    def __str__(self) -> str:
+        return _render(self)
+
+
+def gap(
+    session: Session | str | Path,
+    *,
+    out: str | Path | None = None,
+    robot: G1 | None = None,
+    support: str | None = None,
+    window: float = 1.0,
+    force: bool = False,
+) -> Gap:
+    """Simulate the commands of a session, and compare.
+
+    Args:
+        session: with commands and LowStates.
+        out: also write the session there, with what was simulated on /simulated/joint_states.
+        robot: to simulate, with its parameters; that of the session if None.
+        support: how the robot was held; as the session says if None.
+        window: s, after which the simulation begins anew with the measured state.
+        force: replace a file that is there.
+
+    Raises:
+        G1StreamError: the session, the robot or the file does not allow it.
+    """
+    if not isinstance(session, Session):
+        session = open_session(session)
+    robot = robot or robot_of(session)
+    recorded = Recorded.of(session)
+    held = world_support(recorded, support)
+    simulated = simulate_commands(recorded, robot, support=held, window=window)
+    found = compare(recorded, simulated, robot, window)
+    if out is not None:
+        _write(session, Path(out), recorded, simulated, found, force=force)
+    return found
+
+
+def robot_of(session: Session, name: Path | str | None = None, params: Path | None = None) -> G1:
+    """The robot to simulate: as named, as the parameters say, or that of the session.
+
+    Raises:
+        G1StreamError: the robot or the parameters cannot be used.
+    """
+    if name is not None or params is not None:
+        robot = G1.load(name, params=params)
+        if name is not None or robot.parameters.robot:
+            return robot
+    stream = session.summary().stream
+    known = stream.robot if stream and stream.robot in (*REVISIONS, *VARIANTS) else None
+    return G1.load(known, params=params) if known or params else session.robot
+
+
+def excess(rms: Floats, noise: Floats) -> Floats:
+    """What is left of a root mean square without the noise in it."""
+    left: Floats = np.sqrt(np.maximum(np.square(rms) - np.square(noise), 0.0))
+    return left
+
+
+def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) -> Gap:
+    """Measured against simulated, joint by joint."""
+    known = ~np.isnan(simulated.tau[:, 0])
+    known[0] = False  # where the simulation began
+    pairs = ("q", "dq", "tau")
+    differences = {name: getattr(recorded, name) - getattr(simulated, name) for name in pairs}
+    rms = {name: np.sqrt(np.mean(values[known] ** 2, 0)) for name, values in differences.items()}
+    noise = {
+        name: np.hypot(noise_of(getattr(recorded, name)), simulated.spread[i])
+        for i, name in enumerate(pairs)
+    }
+    left = excess(rms["q"], noise["q"])
+    # Without the worst window: it may have begun at a jerk, where noise hides the state.
+    squares = np.where(known[:, np.newaxis], differences["q"] ** 2, 0.0)
+    by_window = np.array([squares[part].sum(axis=0) for part in simulated.windows])
+    rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
+    usual = excess(np.sqrt(rest / known.sum()), noise["q"])
+    differs = (usual > np.maximum(_DIFFERS, 2.0 * noise["q"])) & robot.present
+    delay, _ = torque_delay(recorded, robot)
+    own = None if delay is None else delay - robot.parameters.command_delay
+    causes = _causes(recorded, robot, differences, known, differs, own)
+    present = np.flatnonzero(robot.present)
+    joints = {
+        JOINT_NAMES[j]: JointGap(
+            q_rad=rms["q"][j],
+            q_noise_rad=noise["q"][j],
+            dq_rad_s=rms["dq"][j],
+            dq_noise_rad_s=noise["dq"][j],
+            tau_nm=rms["tau"][j],
+            tau_noise_nm=noise["tau"][j],
+            differs=bool(differs[j]),
+            causes=causes.get(j, []),
+        )
+        for j in sorted(present.tolist(), key=lambda j: -left[j])
+    }
+    lengths = [
+        recorded.time[part.stop - 1] - recorded.time[part.start] for part in simulated.windows
+    ]
+    return Gap(
+        session=recorded.name,
+        robot=robot.name,
+        params=ParametersInfo.from_robot(robot),
+        support=simulated.support,
+        window_s=window,
+        simulated_s=float(sum(lengths)),
+        delay_s=own,
+        q_rad=float(np.sqrt(np.mean(left[present] ** 2))),
+        joints=joints,
+    )
+
+
+def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) where known.
+
+    The command is that which the motors obey up to the LowState, see `Recorded.in_force`; position
+    and velocity are in the middle between this LowState and the one before.
+    """
+    number = np.concatenate([[-1], recorded.in_force(delay)[:-1]])
+    known = number >= 0
+    q, dq, tau, kp, kd = recorded.commands[number.clip(0)].transpose(1, 0, 2)
+    at_q, at_dq = (0.5 * (one + np.roll(one, 1, axis=0)) for one in (recorded.q, recorded.dq))
+    torque = tau + kp * (q - at_q) + kd * (dq - at_dq)
+    torque[~recorded.enabled[number.clip(0)]] = 0.0
+    return torque, known
+
+
+def torque_delay(recorded: Recorded, robot: G1) -> tuple[float | None, Floats]:
+    """The delay of commands, s, with which measured torques fit best; and the torque scales (29,).
+
+    The delay is one of the robot's ticks, as in the embedded simulator; None where no torques are
+    reported, or commands hardly change. Scales are by least squares, 1 where there is no torque.
+    """
+    best, scales, cost = None, np.ones(N_JOINTS), np.inf
+    limits = robot.torque_limit
+    costs = []
+    for n in range(round(_LONGEST_DELAY / recorded.period) + 1):
+        asked, known = motor_torque(recorded, n * recorded.period)
+        # What is clipped, or sensor noise times a gain, tells no delay.
+        use = known[:, np.newaxis] & (np.abs(asked) < _SATURATED * limits)
+        x, y = np.where(use, asked, 0.0), np.where(use, recorded.tau, 0.0)
+        square = (x * x).sum(axis=0)
+        product = (x * y).sum(axis=0)
+        found = np.divide(product, square, out=np.ones(N_JOINTS), where=square > 1e-6 * len(x))
+        left = ((y - found * x) ** 2).sum(axis=0) / np.maximum(1, use.sum(axis=0))
+        costs.append(left.sum())
+        if costs[-1] < cost:
+            best, scales, cost = n * recorded.period, found, costs[-1]
+    told = recorded.tau.any() and max(costs) > 1.02 * cost
+    return (best if told else None), scales
+
+
+def _causes(
+    recorded: Recorded,
+    robot: G1,
+    differences: Mapping[str, Floats],
+    known: NDArray[np.bool_],
+    differs: NDArray[np.bool_],
+    delay: float | None,
+) -> dict[int, list[Cause]]:
+    """By motor index, what explains the difference of the joints that differ."""
+    rows = np.flatnonzero(known)[::_EVERY]
+    rate = 1.0 / recorded.period
+    q = smoothed(recorded.q, rate, _CUTOFF)
+    dq = np.gradient(q, recorded.period, axis=0)
+    ddq = np.gradient(dq, recorded.period, axis=0)[rows]
+    dq, tau = dq[rows], recorded.tau[rows]
+    weight = _gravity_torque(recorded, robot, q, rows) if differs.any() else tau
+    asked, there = motor_torque(recorded, delay or 0.0)
+    limit = robot.torque_limit
+    saturated = (np.abs(asked[there]) >= limit).mean(axis=0)
+    found: dict[int, list[Cause]] = {}
+    for j in np.flatnonzero(differs).tolist():
+        columns = {
+            ("dry friction", "N·m"): np.tanh(dq[:, j] / _STICTION_SPEED),
+            ("weight", "times its torque"): weight[:, j],
+            ("constant torque", "N·m"): np.ones(len(rows)),
+        }
+        if np.sqrt(np.mean(dq[:, j] ** 2)) > _MOVES:
+            columns |= {
+                ("viscous friction", "N·m·s/rad"): dq[:, j],
+                ("inertia", "kg·m²"): ddq[:, j],
+            }
+        causes = _explained(columns, differences["tau"][rows, j])
+        play = {("backlash", "rad"): np.tanh(tau[:, j] / 0.2), ("", ""): np.ones(len(rows))}
+        play |= {("", "friction"): np.tanh(dq[:, j] / _STICTION_SPEED), ("", "tau"): tau[:, j]}
+        causes += [one for one in _explained(play, differences["q"][rows, j]) if one.name]
+        causes.sort(key=lambda one: -(one.share or 0.0))
+        if delay is not None and delay > 0.5 * recorded.period:
+            causes.append(Cause(name="lag", amount=1e3 * delay, unit="ms"))
+        if saturated[j] > 0.01:
+            causes.append(Cause(name="saturation", amount=100 * saturated[j], unit="% of the time"))
+        found[j] = causes
+    return found
+
+
+def _explained(columns: Mapping[tuple[str, str], Floats], values: Floats) -> list[Cause]:
+    """Least squares of values (R,) on columns (R,), and what each of them explains.
+
+    A column's share is its coefficient times its covariance with the values, over their variance
+    (J. Pratt 1987); the shares add up to the part that all explain.
+    """
+    x = np.stack(list(columns.values()), axis=1)
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-12)
+    x = x / scale
+    total = float((values**2).sum())
+    if len(values) < 20 or not total:
+        return []
+    normal = x.T @ x + 1e-9 * len(x) * np.eye(x.shape[1])
+    coefficient = np.linalg.solve(normal, x.T @ values)
+    left = values - x @ coefficient
+    # Neighbouring samples tell the same: some tenths of a second are one.
+    errors = np.sqrt(np.diag(np.linalg.inv(normal)) * left.var() * 20.0)
+    shares = coefficient * (x * values[:, np.newaxis]).sum(axis=0) / total
+    return [
+        Cause(name=name, amount=float(one), unit=unit, share=float(share))
+        for (name, unit), one, share, error in zip(
+            columns, coefficient / scale, shares, errors / scale, strict=True
+        )
+        if share >= _SHARE and abs(one) > _ERRORS * error
+    ]
+
+
+def _gravity_torque(recorded: Recorded, robot: G1, q: Floats, rows: NDArray[np.intp]) -> Floats:
+    """(R, 29) N·m against gravity, of the pose and attitude in some rows."""
+    dynamics, still = InverseDynamics(robot, gravity=GRAVITY), np.zeros(N_JOINTS)
+    torques = [
+        dynamics.solve("bolted", q[k], still, still, BaseMotion(recorded.quat_wxyz[k], np.zeros(3)))
+        for k in rows
+    ]
+    return np.stack([one.tau for one in torques])
+
+
+def _write(
+    session: Session,
+    out: Path,
+    recorded: Recorded,
+    simulated: Simulated,
+    found: Gap,
+    *,
+    force: bool,
+) -> None:
+    """Write the session with what was simulated."""
+    source = MemorySource(str(session.path))
+    source.add_metadata({**session.metadata, "gap": found.model_dump(mode="json")})
+    for name, data in session.attachments.items():
+        source.attach(name, "", data, session.start_ns)
+    for topic in session.topics:
+        if topic in CHANNELS and topic != SIMULATED:
+            for one in session.messages(topic):
+                source.write(topic, one.data, one.log_time, one.publish_time)
+    there = ~np.isnan(simulated.tau[:, 0])
+    columns = (simulated.q[there], simulated.dq[there], simulated.tau[there])
+    times = recorded.published[there]
+    messages = JointStatesTemplate(JOINT_NAMES, _FIELDS).encode(times, *columns)
+    source.write_batch(SIMULATED, messages, times, times)
+    Session(source).save(out, force=force)
+
+
+def _render(found: Gap) -> str:
+    """As text."""
+    rows: list[Sequence[str]] = [
+        ("joint", "q mrad", "noise", "dq rad/s", "noise", "tau N·m", "noise")
+    ]
+    shown = {name: one for name, one in found.joints.items() if one.differs}
+    for name, one in shown.items():
+        figures = (
+            (1e3 * one.q_rad, 2),
+            (1e3 * one.q_noise_rad, 2),
+            (one.dq_rad_s, 3),
+            (one.dq_noise_rad_s, 3),
+            (one.tau_nm, 2),
+            (one.tau_noise_nm, 3),
+        )
+        cells = [f"{value:.{digits}f}" for value, digits in figures]
+        rows.append((name.removesuffix("_joint"), *cells))
+    lines = table(rows, left=(0,)) if shown else []
+    alike = len(found.joints) - len(shown)
+    params = str(found.params) if found.params else "default parameters"
+    return "\n".join(
+        [
+            f"{found.session}: {found.simulated_s:.1f} s simulated in windows of "
+            f"{found.window_s:g} s, base {found.support}",
+            labelled("  robot  ", f"{found.robot}, {params}"),
+            f"  gap    {1e3 * found.q_rad:.2f} mrad RMS of all joints, without noise",
+            f"         {len(shown)} joints differ by more than noise, {alike} do not",
+            "",
+            *lines,
+            *([""] if shown else []),
+            *(
+                labelled(
+                    f"{name.removesuffix('_joint'):<22}",
+                    "; ".join(map(str, one.causes)) or "no simple cause",
+                )
+                for name, one in shown.items()
+            ),
+        ]
+    )

@@ -1,0 +1,215 @@
+"""What a session recorded of a robot and its commands, as a simulation takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from g1stream.analysis.summarise import summarise
+from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
+from g1stream.robot.rotations import quat_normalize
+from g1stream.session.recording import Recording
+from g1stream.session.streams import CommandStream, MeasuredStream
+from g1stream.types import Floats, Ints, StreamSupport
+
+__all__ = ["Recorded", "noise_of", "smoothed"]
+
+#: Between two LowStates, beyond which the record is interrupted, ns.
+_GAP: Final = 50_000_000
+#: The robot's own clock counts if its seconds are real ones to this share.
+_CLOCK: Final = 0.5
+#: The attitude and place of a base that is driven along them are smoothed to so many Hz.
+_BASE_CUTOFF: Final = 15.0
+#: The standard deviation of the fourth difference of white noise over that of the noise.
+_FOURTH: Final = np.sqrt(70.0)
+#: The median of |x| over the standard deviation of a normal distribution.
+_MEDIAN: Final = 0.6745
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """N LowStates from the first command to the last, in the order of their publish times.
+
+    Attributes:
+        name: of the session.
+        published: (N,) ns.
+        time: (N,) s, on the robot's own clock where it has one: LowState's tick.
+        period: s between two of them.
+        q, dq, tau: (N, 29) as measured, motor order.
+        quat_wxyz: (N, 4) attitude of the pelvis.
+        gyroscope: (N, 3) rad/s, pelvis frame.
+        accelerometer: (N, 3) m/s², pelvis frame, gravity included.
+        base_pos, base_lin_vel: (N, 3) m and m/s, world; None where the base's place is not known.
+        command_times: (M,) ns.
+        enabled: (M, 29) which motors are.
+        commands: (M, 5, 29) q, dq, tau, kp and kd.
+        support: how the robot was held, as the session says; None where it does not.
+    """
+
+    name: str
+    published: Ints
+    time: Floats
+    period: float
+    q: Floats
+    dq: Floats
+    tau: Floats
+    quat_wxyz: Floats
+    gyroscope: Floats
+    accelerometer: Floats
+    base_pos: Floats | None
+    base_lin_vel: Floats | None
+    command_times: Ints
+    enabled: NDArray[np.bool_]
+    commands: Floats
+    support: StreamSupport | None
+
+    @classmethod
+    def of(cls, session: Recording) -> Recorded:
+        """Read a session.
+
+        Raises:
+            RecordingError: it lacks commands or states, or the two do not overlap.
+        """
+        columns = ("q", "dq", "tau", "imu_quat_wxyz", "gyroscope", "accelerometer", "tick")
+        of_commands = ("mode", "q", "dq", "tau", "kp", "kd")
+        session.read({MeasuredStream: columns, CommandStream: of_commands})
+        command, measured, base = session.command, session.measured, session.base
+        asked = np.argsort(command.published, kind="stable")
+        commands = np.stack([getattr(command, name)[asked] for name in of_commands[1:]], axis=1)
+        sound = (np.abs(commands) < NUMBER).all(axis=(1, 2))
+        asked, commands = asked[sound], commands[sound]
+        order = np.argsort(measured.published, kind="stable")
+        published = measured.published[order]
+        finite = np.ones(len(order), dtype=bool)
+        for name in columns[:-1]:
+            finite &= (np.abs(getattr(measured, name)[order]) < NUMBER).all(axis=1)
+        finite &= np.diff(published, prepend=published[:1] - 1) > 0
+        stream = summarise(session).stream
+        support = stream.support if stream else None
+        if len(asked):
+            first, last = command.published[asked[[0, -1]]]
+            if support in ("free", "feet"):  # until then a simulator holds the base
+                first = max(first, session.start_ns)
+            finite &= (published >= first) & (published <= last)
+        order = order[finite]
+        if not len(asked) or len(order) < 2:
+            raise RecordingError(
+                f"{session.path} has no LowStates between its first command and its last.",
+                "Record rt/lowcmd and rt/lowstate while the robot is commanded.",
+            )
+        published = measured.published[order]
+        position = velocity = None
+        if base is not None and len(base):
+            of_base = np.argsort(base.published, kind="stable")
+            position, velocity = (
+                _at(published, base.published[of_base], values[of_base])
+                for values in (base.position, base.velocity)
+            )
+        time = _own_time(measured.tick[order], published)
+        return cls(
+            name=session.path.name,
+            published=published,
+            time=time,
+            period=float(np.median(np.diff(time))),
+            q=measured.q[order],
+            dq=measured.dq[order],
+            tau=measured.tau[order],
+            quat_wxyz=quat_normalize(_continuous(measured.imu_quat_wxyz[order])),
+            gyroscope=measured.gyroscope[order],
+            accelerometer=measured.accelerometer[order],
+            base_pos=position,
+            base_lin_vel=velocity,
+            command_times=command.published[asked],
+            enabled=command.mode[asked] == 1,
+            commands=commands,
+            support=support,
+        )
+
+    def windows(self, length: float) -> Iterator[slice]:
+        """Parts of `length` s at most, none over a gap; the last state of one begins the next."""
+        n, start = max(1, round(length / self.period)), 0
+        gaps = np.flatnonzero(np.diff(self.published) > _GAP) + 1
+        for end in (*gaps.tolist(), len(self.time)):
+            while end - start > 1:
+                stop = min(start + n + 1, end)
+                yield slice(start, stop)
+                start = stop - 1
+            start = end
+
+    def in_force(self, delay: float) -> Ints:
+        """(N,) which command the motors obey from each LowState to the next one; -1 for none.
+
+        As in the embedded simulator: a command that was published before a LowState is received
+        with it, and obeyed `delay` s later, to the nearest LowState.
+        """
+        received = np.searchsorted(self.published, self.command_times)  # with which LowState
+        obeyed = received + int(np.ceil(delay / self.period - 0.5))
+        newest: Ints = np.searchsorted(obeyed, np.arange(len(self.time)), side="right") - 1
+        return newest
+
+    def smooth_base(self) -> tuple[Floats, Floats]:
+        """Attitude (N, 4) and angular velocity (N, 3), pelvis frame, without their noise."""
+        rate = 1.0 / self.period
+        quat = quat_normalize(smoothed(self.quat_wxyz, rate, _BASE_CUTOFF))
+        return quat, smoothed(self.gyroscope, rate, _BASE_CUTOFF)
+
+
+def _at(instants: Ints, times: Ints, values: Floats) -> Floats:
+    """(N, K) values at instants (N,), linearly between those of (R,) times, rising."""
+    first = times[0]
+    return np.stack(
+        [np.interp(instants - first, times - first, column) for column in values.T], axis=1
+    )
+
+
+def _own_time(tick: NDArray[np.uint32], published: Ints) -> Floats:
+    """(N,) s from the first state: by the robot's ticks, ms, where they are a clock."""
+    ticks = (tick.astype(np.int64) - int(tick[0])) / 1e3
+    real = (published - published[0]) / 1e9
+    if (np.diff(ticks) > 0).all() and abs(ticks[-1] / real[-1] - 1.0) < _CLOCK:
+        return ticks
+    # Publish times have the jitter of their program: intervals near the usual one are that one.
+    period = float(np.median(np.diff(real)))
+    steps = np.diff(real) / period
+    near = np.abs(steps - np.round(steps).clip(1)) < 0.5 - 1e-9
+    even = np.where(near, np.round(steps).clip(1), steps) * period
+    total = np.concatenate([[0.0], np.cumsum(even)])
+    evened: Floats = total * (real[-1] / total[-1])
+    return evened
+
+
+def _continuous(quat: Floats) -> Floats:
+    """Quaternions (N, 4) whose signs do not alternate."""
+    same = np.einsum("ij,ij->i", quat[1:], quat[:-1]) >= 0.0
+    signs = np.cumprod(np.where(same, 1.0, -1.0))
+    turned: Floats = quat * np.concatenate([[1.0], signs])[:, np.newaxis]
+    return turned
+
+
+def smoothed(values: Floats, rate: float, cutoff: float) -> Floats:
+    """Values (N, K) at a rate, Hz, low-passed without a phase; short ones as they are."""
+    sections = butter(2, min(cutoff, 0.4 * rate), fs=rate, output="sos")
+    pad = min(len(values) - 1, 3 * round(rate / cutoff))
+    if pad < 1:
+        return values
+    found: Floats = sosfiltfilt(sections, values, axis=0, padlen=pad)
+    return found
+
+
+def noise_of(values: Floats) -> Floats:
+    """Standard deviations (K,) of the white noise in evenly sampled values (N, K).
+
+    That of the fourth difference, over sqrt(70): a movement of some Hz, sampled at 500 Hz, has
+    next to nothing of it. The median of absolute values stands for it, which steps do not change.
+    """
+    if len(values) < 16:
+        return np.zeros(values.shape[1])
+    fourth = np.diff(values, 4, axis=0)
+    sigma: Floats = np.median(np.abs(fourth), axis=0) / _MEDIAN / _FOURTH
+    return sigma

@@ -1,0 +1,209 @@
+"""The simulated robot under the commands of a session, in windows from the measured state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, cast, get_args
+
+import numpy as np
+
+from g1stream.errors import ConfigError
+from g1stream.extras.fit.recorded import Recorded, noise_of
+from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, yaw_of
+from g1stream.sim.world import MotorCommand, Root, World
+from g1stream.types import Floats, StreamSupport, Support
+
+__all__ = ["Simulated", "simulate_commands", "world_support"]
+
+#: Of the physics, s: that of the embedded simulator at 500 Hz.
+_TIMESTEP: Final = 1e-3
+#: The state that a window begins with is that of a cubic through so many samples on both sides.
+_SIDE: Final = 12
+#: Noise below which a window begins with the measured state itself, rad and rad/s.
+_CLEAN: Final = (2e-6, 2e-4)
+#: So many windows are simulated again from another state within the noise, and one in so many.
+_REPEATED, _ONE_IN = 8, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """What the simulated robot did, at the times of the LowStates of a `Recorded`.
+
+    Attributes:
+        q, dq, tau: (N, 29) rad, rad/s, N·m, motor order; nan where nothing was simulated.
+        windows: which states of the recording each window has.
+        support: how the base was held.
+        spread: (3, 29) by how much position, velocity and torque differ, RMS, because the noise of
+            the measured state that a window begins with is not known.
+    """
+
+    q: Floats
+    dq: Floats
+    tau: Floats
+    windows: tuple[slice, ...]
+    support: Support
+    spread: Floats
+
+
+def world_support(recorded: Recorded, support: str | None = None) -> Support:
+    """How the base of the simulated robot is held.
+
+    A bolted one is bolted. One that hangs does so from the band of the embedded simulator, which
+    pulls at the torso: its waist carries what is below, which a base that is driven would not let
+    it. One that follows is driven along the measured base. Nothing holds one that stands.
+
+    Args:
+        recorded: what was recorded.
+        support: that of the robot; as the session says if None.
+
+    Raises:
+        ConfigError: the session does not say, or not where the pelvis was.
+    """
+    support = support or recorded.support
+    if support is None:
+        raise ConfigError(
+            f"{recorded.name} does not say how the robot was held.",
+            "Give --support bolted, hanging, follow or free.",
+        )
+    known = get_args(StreamSupport)
+    if support not in known:
+        raise ConfigError(f"There is no support {support!r}.", f"Use {', '.join(known)}.")
+    held = cast("Support", "free" if support == "feet" else support)
+    if held in ("follow", "free") and recorded.base_pos is None:
+        raise ConfigError(
+            f"{recorded.name} does not say where the pelvis of the robot was.",
+            "Record rt/sportmodestate, or a robot that is bolted or hangs.",
+        )
+    return held
+
+
+def simulate_commands(
+    recorded: Recorded,
+    robot: G1,
+    *,
+    support: Support,
+    window: float = 1.0,
+    self_collision: bool = True,
+) -> Simulated:
+    """Simulate the robot under the recorded commands.
+
+    Each window begins with the measured state, and has the commands at the robot's ticks at which
+    they would reach the embedded simulator, plus the command delay of the parameters.
+
+    Args:
+        recorded: what was recorded.
+        robot: with its parameters.
+        support: see `world_support`.
+        window: s.
+        self_collision: links collide with each other.
+
+    Raises:
+        SimError: the state can no longer be integrated.
+    """
+    world = World(robot, support, self_collision=self_collision, timestep=_TIMESTEP)
+    run = _Run(recorded, world, robot.parameters.command_delay, support)
+    noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
+    values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
+    windows = tuple(recorded.windows(window))
+    rng, squares, n = np.random.default_rng(0), np.zeros((3, N_JOINTS)), 0
+    every = max(1, min(_ONE_IN, len(windows) // _REPEATED))
+    for number, part in enumerate(windows):
+        state, deviation = _first_state(recorded, part.start, noise)
+        found = run.window(part, state)
+        kept = 0 if part.start == 0 else 1  # the end of a window counts, not the start of the next
+        values[part][kept:] = found[kept:]
+        if number % every == 0 and deviation.any():
+            other = run.window(part, state + deviation @ rng.standard_normal((2, N_JOINTS)))
+            squares += np.square(other - found)[1:].sum(axis=0)
+            n += len(found) - 1
+    q, dq, tau = values.transpose(1, 0, 2)
+    return Simulated(q, dq, tau, windows, support, np.sqrt(squares / max(1, n)))
+
+
+class _Run:
+    """A simulated robot, and what it is given in each step."""
+
+    def __init__(self, recorded: Recorded, world: World, delay: float, support: Support) -> None:
+        self._recorded, self._world = recorded, world
+        self._numbers = recorded.in_force(delay)
+        self._roots = _roots(recorded, support, world)
+        self._driven = support == "follow"
+
+    def window(self, part: slice, state: Floats) -> Floats:
+        """What is measured (W, 3, 29): positions, velocities and torques at the states of a window.
+
+        Args:
+            part: of the recording.
+            state: (2, 29) positions and velocities that it begins with.
+        """
+        recorded, world = self._recorded, self._world
+        command = off = MotorCommand.off()
+        world.set_state(state[0], state[1], self._roots(part.start))
+        seconds = recorded.time[part] - recorded.time[part.start]
+        steps = np.diff(np.round(seconds / _TIMESTEP).astype(int)).tolist()
+        found = np.empty((len(seconds), 3, N_JOINTS))
+        for k, n in enumerate([0, *steps], start=part.start):
+            if n > 0:
+                world.step(command, n)
+            at = world.state()
+            found[k - part.start] = at.q, at.dq, at.tau_est
+            number, command = self._numbers[k], off
+            if number >= 0:
+                command = MotorCommand(recorded.enabled[number], *recorded.commands[number])
+            if self._driven:
+                world.set_reference(self._roots(k))
+        return found
+
+
+def _roots(recorded: Recorded, support: Support, world: World) -> Callable[[int], Root]:
+    """A function from the number of a state to the pose of the base."""
+    if support == "bolted":
+        # The yaw of an IMU, and the place, mean nothing to a robot that is bolted.
+        quat = recorded.quat_wxyz.mean(axis=0)
+        tilt = _without_yaw(quat / np.linalg.norm(quat))
+        root = Root(np.zeros(3), tilt, np.zeros(3), np.zeros(3), playing=True)
+        return lambda _: root
+    quat, ang_vel = recorded.smooth_base()
+    pos, vel = recorded.base_pos, recorded.base_lin_vel
+    if pos is None or vel is None:
+        pos, vel = np.tile(world.state().base_pos, (len(quat), 1)), np.zeros((len(quat), 3))
+    return lambda k: Root(pos[k], quat[k], vel[k], ang_vel[k], playing=True)
+
+
+def _without_yaw(quat: Floats) -> Floats:
+    """The attitude (4,) with the yaw taken out."""
+    return quat_mul(quat_conj(quat_from_yaw(yaw_of(quat))), quat)
+
+
+def _first_state(recorded: Recorded, k: int, noise: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Joint positions and velocities (29,) with which a window begins.
+
+    Of a session with noise those of a cubic through the samples around it, positions and velocities
+    together, each weighted by its noise.
+    """
+    measured = np.stack([recorded.q[k], recorded.dq[k]])
+    if noise[0] < _CLEAN[0] and noise[1] < _CLEAN[1]:
+        return measured, np.zeros((2, 2))
+    near = slice(max(0, k - _SIDE), min(len(recorded.time), k + _SIDE + 1))
+    s = recorded.time[near] - recorded.time[k]
+    usable = np.abs(s) < 3 * _SIDE * recorded.period
+    s = s[usable]
+    if len(s) < 4:
+        return measured, np.zeros((2, 2))
+    scale = float(np.abs(s).max())
+    u = s / scale
+    powers = np.arange(4)
+    place = u[:, np.newaxis] ** powers
+    rate = np.zeros_like(place)
+    rate[:, 1:] = powers[1:] * u[:, np.newaxis] ** (powers[1:] - 1) / scale
+    of_q, of_dq = (max(one, 1e-9) for one in noise)
+    system = np.concatenate([place / of_q, rate / of_dq])
+    values = np.concatenate([recorded.q[near][usable] / of_q, recorded.dq[near][usable] / of_dq])
+    covariance = np.linalg.inv(system.T @ system)
+    found = covariance @ (system.T @ values)
+    units = np.array([1.0, 1.0 / scale])
+    deviation = np.linalg.cholesky(covariance[:2, :2] * np.outer(units, units))
+    return found[:2] * units[:, np.newaxis], deviation

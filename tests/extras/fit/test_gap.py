@@ -1,0 +1,189 @@
+"""What differs between a simulated robot of known parameters and the default one."""
+
+import json
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.analysis.signals import signal
+from g1stream.app.rollout import rollout
+from g1stream.app.session import open_session
+from g1stream.cli.main import main
+from g1stream.config import load_config
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.fit.gap import gap, robot_of
+from g1stream.extras.fit.recorded import Recorded, noise_of
+from g1stream.extras.fit.simulation import simulate_commands
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.session.source import MemorySource
+
+KNEE = "left_knee_joint"
+OTHER = f"""
+command_delay = 0.008
+[friction]
+{KNEE} = 1.2
+[damping]
+left_elbow_joint = 0.4
+"""
+
+
+@pytest.fixture(scope="module")
+def params(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fit") / "other.toml"
+    path.write_text(OTHER)
+    return path
+
+
+def played(support="bolted", *, params=None, noise=0.0, seconds=2.0):
+    config = load_config(
+        over={
+            "record.channels": "raw",
+            "sim.noise": noise,
+            "params": params,
+            "stream.feedforward": "velocity",
+            "stream.hold": 0.0,
+            "stream.damp": 0.5,
+            "stream.ramp": 1.0,
+        }
+    )
+    return rollout("demo", config=config, seconds=seconds, support=support)
+
+
+@pytest.fixture(scope="module")
+def same():
+    return played()
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return played(noise=1.0)
+
+
+@pytest.fixture(scope="module")
+def other(params):
+    return played(params=params, seconds=4.0)
+
+
+def test_the_same_robot_is_the_same_to_single_precision(same):
+    recorded = Recorded.of(same)
+    simulated = simulate_commands(recorded, G1.default(), support="bolted", window=0.7)
+    assert simulated.q == pytest.approx(recorded.q, abs=1e-6)
+    assert simulated.dq == pytest.approx(recorded.dq, abs=1e-5)
+    assert simulated.tau[1:] == pytest.approx(recorded.tau[1:], abs=1e-4)
+    assert [part.stop - part.start for part in simulated.windows[:-1]] == [351] * (
+        len(simulated.windows) - 1
+    )
+
+
+@pytest.mark.parametrize(("support", "most"), [("hanging", 5e-4), ("follow", 3e-3), ("free", 3e-3)])
+def test_however_it_is_held(support, most):
+    assert gap(played(support, seconds=1.5)).q_rad < most
+
+
+def test_noise_is_no_difference(noisy):
+    found = gap(noisy)
+    assert not any(one.differs for one in found.joints.values())
+    noise = [one.q_noise_rad for name, one in found.joints.items() if "waist" not in name]
+    assert np.median(noise) == pytest.approx(5e-4, rel=0.2)
+
+
+def test_noise_is_measured_beside_a_movement():
+    rng = np.random.default_rng(0)
+    time = np.arange(2000) / 500.0
+    moving = np.sin(2 * np.pi * 2.0 * time)[:, np.newaxis] * [0.5, 0.0]
+    assert noise_of(moving + 1e-3 * rng.standard_normal((2000, 2))) == pytest.approx(
+        [1e-3, 1e-3], rel=0.1
+    )
+    assert noise_of(moving).max() < 1e-5
+
+
+def test_joints_that_differ_and_why(other):
+    found = gap(other)
+    names = list(found.joints)
+    assert KNEE in names[:6]
+    assert found.joints[KNEE].differs
+    first = found.joints[KNEE].causes[0]
+    assert first.name == "dry friction"
+    assert first.amount == pytest.approx(1.0, abs=0.35)
+    (viscous,) = (one for one in found.joints["left_elbow_joint"].causes if "viscous" in one.name)
+    assert viscous.amount == pytest.approx(0.35, abs=0.15)
+    assert found.delay_s == pytest.approx(0.008)
+    assert {"lag"} <= {one.name for one in found.joints[KNEE].causes}
+
+
+def test_with_its_parameters_it_does_not_differ(other, params):
+    found = gap(other, robot=robot_of(other, params=params))
+    assert found.q_rad < 1e-5
+    assert found.params.sha256
+    assert found.delay_s == pytest.approx(0.0)
+
+
+def test_the_session_that_is_written(other, tmp_path):
+    out = tmp_path / "gap.mcap"
+    found = gap(other, out=out)
+    written = open_session(out)
+    assert {**written.topics, "/simulated/joint_states": 0} == {
+        **other.topics,
+        "/simulated/joint_states": 0,
+    }
+    assert written.metadata["gap"]["q_rad"] == found.q_rad
+    lines = {line.name: line for line in signal(written, "tau").lines}
+    assert list(lines) == ["commanded", "simulated", "estimated"]
+    positions = {line.name: line for line in signal(written, "q").lines}
+    knee = JOINT_NAMES.index(KNEE)
+    shown = np.radians(positions["simulated"].values[:, knee])
+    measured = np.interp(
+        positions["simulated"].time, written.measured.time, written.measured.q[:, knee]
+    )
+    rms = np.sqrt(np.nanmean((measured - shown)[1:] ** 2))
+    assert rms == pytest.approx(found.joints[KNEE].q_rad, rel=0.05)
+
+
+def test_from_the_command_line(other, tmp_path, capsys):
+    session, out = tmp_path / "session.mcap", tmp_path / "gap.mcap"
+    other.save(session)
+    assert main(["simulate", str(session), "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["joints"][KNEE]["differs"] is True
+    assert main(["simulate", str(session), "-o", str(out)]) == 2  # it is there
+    assert main(["simulate", str(session), "-o", str(session), "--force"]) == 2
+    assert main(["simulate", str(session), "--support", "glued"]) == 2
+    assert main(["layout", "foxglove", str(out), "--dir", str(tmp_path)]) == 0
+    assert "/simulated/joint_states" in (tmp_path / "g1stream-foxglove.json").read_text()
+
+
+def test_who_was_held_in_no_known_way_is_asked_for(same):
+    source = MemorySource("stranger")
+    for topic in ("/lowcmd", "/lowstate"):
+        for one in same.messages(topic):
+            source.write(topic, one.data, one.log_time, one.publish_time)
+    stranger = g1stream.Session(source)
+    with pytest.raises(ConfigError):
+        gap(stranger)
+    with pytest.raises(ConfigError):  # where was the pelvis?
+        gap(stranger, support="free")
+    assert gap(stranger, support="bolted").q_rad < 1e-5
+
+
+def test_a_session_without_commands_is_refused(same):
+    source = MemorySource("states")
+    for one in same.messages("/lowstate"):
+        source.write("/lowstate", one.data, one.log_time, one.publish_time)
+    with pytest.raises(RecordingError):
+        gap(g1stream.Session(source), support="bolted")
+
+
+def test_windows_do_not_reach_over_a_gap(same):
+    source = MemorySource("gap")
+    for one in same.messages("/lowcmd"):
+        source.write("/lowcmd", one.data, one.log_time, one.publish_time)
+    states = list(same.messages("/lowstate"))
+    for one in [*states[:600], *states[700:]]:
+        source.write("/lowstate", one.data, one.log_time, one.publish_time)
+    recorded = Recorded.of(g1stream.Session(source))
+    starts = [recorded.published[part.start] for part in recorded.windows(1.0)]
+    ends = [recorded.published[part.stop - 1] for part in recorded.windows(1.0)]
+    assert states[700].publish_time in starts
+    assert states[599].publish_time in ends
+    assert gap(g1stream.Session(source), support="bolted").q_rad < 1e-5

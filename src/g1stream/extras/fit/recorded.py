@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -130,6 +130,17 @@ class Recorded:
             commands=commands,
             support=support,
         )
+
+    def part(self, rows: slice) -> Recorded:
+        """Some of the states, with all commands."""
+        sliced = {
+            name: values[rows]
+            for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+            and len(values) == len(self.time)
+            and name not in ("command_times", "enabled", "commands")
+        }
+        return replace(self, **sliced)
 
     def windows(self, length: float) -> Iterator[slice]:
         """Parts of `length` s at most, none over a gap; the last state of one begins the next."""

@@ -34,6 +34,7 @@ class Simulated:
 
     Attributes:
         q, dq, tau: (N, 29) rad, rad/s, N·m, motor order; nan where nothing was simulated.
+        base: (N, 10) of the IMU in the pelvis: quaternion wxyz, gyroscope, accelerometer.
         windows: which states of the recording each window has.
         support: how the base was held.
         spread: (3, 29) by how much position, velocity and torque differ, RMS, because the noise of
@@ -43,6 +44,7 @@ class Simulated:
     q: Floats
     dq: Floats
     tau: Floats
+    base: Floats
     windows: tuple[slice, ...]
     support: Support
     spread: Floats
@@ -87,6 +89,7 @@ def simulate_commands(
     support: Support,
     window: float = 1.0,
     self_collision: bool = True,
+    repeats: bool = True,
 ) -> Simulated:
     """Simulate the robot under the recorded commands.
 
@@ -99,6 +102,7 @@ def simulate_commands(
         support: see `world_support`.
         window: s.
         self_collision: links collide with each other.
+        repeats: simulate some windows twice, for `Simulated.spread`.
 
     Raises:
         SimError: the state can no longer be integrated.
@@ -107,20 +111,21 @@ def simulate_commands(
     run = _Run(recorded, world, robot.parameters.command_delay, support)
     noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
     values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
+    base = np.full((len(recorded.time), 10), np.nan)
     windows = tuple(recorded.windows(window))
     rng, squares, n = np.random.default_rng(0), np.zeros((3, N_JOINTS)), 0
     every = max(1, min(_ONE_IN, len(windows) // _REPEATED))
     for number, part in enumerate(windows):
         state, deviation = _first_state(recorded, part.start, noise)
-        found = run.window(part, state)
+        found, of_base = run.window(part, state)
         kept = 0 if part.start == 0 else 1  # the end of a window counts, not the start of the next
-        values[part][kept:] = found[kept:]
-        if number % every == 0 and deviation.any():
-            other = run.window(part, state + deviation @ rng.standard_normal((2, N_JOINTS)))
+        values[part][kept:], base[part][kept:] = found[kept:], of_base[kept:]
+        if repeats and number % every == 0 and deviation.any():
+            other, _ = run.window(part, state + deviation @ rng.standard_normal((2, N_JOINTS)))
             squares += np.square(other - found)[1:].sum(axis=0)
             n += len(found) - 1
     q, dq, tau = values.transpose(1, 0, 2)
-    return Simulated(q, dq, tau, windows, support, np.sqrt(squares / max(1, n)))
+    return Simulated(q, dq, tau, base, windows, support, np.sqrt(squares / max(1, n)))
 
 
 class _Run:
@@ -132,30 +137,34 @@ class _Run:
         self._roots = _roots(recorded, support, world)
         self._driven = support == "follow"
 
-    def window(self, part: slice, state: Floats) -> Floats:
-        """What is measured (W, 3, 29): positions, velocities and torques at the states of a window.
+    def window(self, part: slice, state: Floats) -> tuple[Floats, Floats]:
+        """What is measured at the W states of a window.
 
         Args:
             part: of the recording.
             state: (2, 29) positions and velocities that it begins with.
+
+        Returns:
+            (W, 3, 29) positions, velocities and torques, and (W, 10) what the pelvis's IMU measures.
         """
         recorded, world = self._recorded, self._world
         command = off = MotorCommand.off()
         world.set_state(state[0], state[1], self._roots(part.start))
         seconds = recorded.time[part] - recorded.time[part.start]
         steps = np.diff(np.round(seconds / _TIMESTEP).astype(int)).tolist()
-        found = np.empty((len(seconds), 3, N_JOINTS))
+        found, base = np.empty((len(seconds), 3, N_JOINTS)), np.empty((len(seconds), 10))
         for k, n in enumerate([0, *steps], start=part.start):
             if n > 0:
                 world.step(command, n)
             at = world.state()
             found[k - part.start] = at.q, at.dq, at.tau_est
+            base[k - part.start] = np.concatenate(at.imu)
             number, command = self._numbers[k], off
             if number >= 0:
                 command = MotorCommand(recorded.enabled[number], *recorded.commands[number])
             if self._driven:
                 world.set_reference(self._roots(k))
-        return found
+        return found, base
 
 
 def _roots(recorded: Recorded, support: Support, world: World) -> Callable[[int], Root]:

@@ -1,0 +1,453 @@
+"""Fits the parameters of a robot to sessions, each with its interval of confidence and a verdict.
+
+Least squares on the inverse dynamics (`regression`) are biased: by sensor noise in velocities and
+accelerations, by the low-pass, and by what is sampled when. So the same estimate is made of a
+simulation of the same commands, with the noise of the session, whose parameters are known. The
+parameters are those with which the simulation gives the estimate that the robot gave (indirect
+inference: C. Gourieroux, A. Monfort and E. Renault 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from scipy.stats import t as student
+
+from g1stream.app.session import Session, open_session
+from g1stream.errors import RecordingError
+from g1stream.extras.fit.gap import compare, motor_torque, robot_of, torque_delay
+from g1stream.extras.fit.recorded import Recorded, noise_of
+from g1stream.extras.fit.regression import LINKS, Estimate, Movement, Regression, names_of
+from g1stream.extras.fit.simulation import simulate_commands, world_support
+from g1stream.files import complete_file
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.robot.parameters import NOMINAL, Parameters
+from g1stream.session.records import Record
+from g1stream.text import labelled, table
+from g1stream.types import Floats, Support
+
+__all__ = ["Fit", "FittedValue", "fit_parameters"]
+
+Kind = Literal["damping", "friction", "armature", "torque_scale", "mass", "command_delay"]
+
+#: Of a window of the regression, and of one of the judgement, s.
+_WINDOW, _JUDGED = 2.0, 1.0
+#: Simulations with better and better parameters, and draws of noise for each.
+_ROUNDS, _DRAWS = 3, 4
+#: Of a session that is the only one, what the judgement is made with.
+_HELD_OUT: Final = 0.2
+#: A session tells a value whose interval reaches this far, as a part of the value or of the default
+#: if that is greater; masses, kg; scales.
+_TOLD, _TOLD_MASS, _TOLD_SCALE = 0.5, 0.5, 0.05
+_UNITS: Final = {
+    "damping": "N·m·s/rad",
+    "friction": "N·m",
+    "armature": "kg·m²",
+    "torque_scale": "",
+    "mass": "kg",
+    "command_delay": "s",
+}
+#: Least values that a simulation takes.
+_LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
+
+
+class FittedValue(Record):
+    """A parameter.
+
+    Attributes:
+        kind: as the table of a parameters file is called.
+        name: of the joint or the link; empty for the command delay.
+        value, low, high: with the ends of its 95 % interval.
+        default: without a parameters file.
+        told: whether the sessions can tell it; others are not written.
+    """
+
+    kind: str
+    name: str
+    value: float
+    low: float
+    high: float
+    default: float
+    told: bool
+
+    @property
+    def written(self) -> bool:
+        """Whether it goes into a parameters file: it is told, and no mass or scale of no effect."""
+        differs = (
+            self.kind not in ("mass", "torque_scale") or not self.low <= self.default <= self.high
+        )
+        return self.told and differs
+
+
+class Fit(Record):
+    """The parameters of a robot, and how well they do.
+
+    Attributes:
+        sessions: their names.
+        held_out: those of the judgement; "the last 20 %" where there was no other session.
+        robot: the one whose masses they are relative to.
+        support: how it was held.
+        fitted_s: of the windows that were fitted.
+        values: of all parameters.
+        gap_before_rad, gap_after_rad: of the held-out session, RMS of all joints without noise, with
+            the default parameters and with these.
+    """
+
+    sessions: list[str]
+    held_out: str
+    robot: str
+    support: str
+    fitted_s: float
+    values: list[FittedValue]
+    gap_before_rad: float
+    gap_after_rad: float
+
+    @property
+    def reduction(self) -> float:
+        """By how much the gap of the held-out session shrinks, as a part of it."""
+        return 1.0 - self.gap_after_rad / max(self.gap_before_rad, 1e-12)
+
+    def find(self, kind: Kind, name: str = "") -> FittedValue:
+        """A value by its kind and the joint or link."""
+        return next(one for one in self.values if (one.kind, one.name) == (kind, name))
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the parameters that were told as a file for `--params`.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        path = Path(path)
+        with complete_file(path, force=force) as temporary:
+            temporary.write_text(_toml(self), encoding="utf-8")
+        return path
+
+    def __str__(self) -> str:
+        return _render(self)
+
+
+def fit_parameters(
+    sessions: Sequence[Session | str | Path],
+    *,
+    hold_out: Session | str | Path | None = None,
+    robot: G1 | None = None,
+    support: str | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Fit:
+    """Fit the parameters of a robot.
+
+    Args:
+        sessions: of the robot, bolted or hanging.
+        hold_out: another one, to judge the parameters with; the last fifth of each session if None.
+        robot: without parameters; that of the first session if None.
+        support: how it was held; as the sessions say if None.
+        progress: called with the part that is done.
+
+    Raises:
+        G1StreamError: a session does not allow it.
+    """
+    opened = [one if isinstance(one, Session) else open_session(one) for one in sessions]
+    robot = replace(robot or robot_of(opened[0]), parameters=NOMINAL)
+    records = [Recorded.of(one) for one in opened]
+    held = [_held(one, support) for one in records]
+    if hold_out is None:
+        splits = [_split(one) for one in records]
+        fitted, judged = [first for first, _ in splits], [last for _, last in splits]
+    else:
+        other = hold_out if isinstance(hold_out, Session) else open_session(hold_out)
+        fitted, judged = records, [Recorded.of(other)]
+    regression = Regression(robot, LINKS)
+    data = list(zip(fitted, held, strict=False))
+    measured = [_measured(one, how) for one, how in data]
+    if not any(_has_torque(one) for one in fitted):
+        raise RecordingError(
+            f"{fitted[0].name} has no torques: tau_est of every LowState is 0.",
+            "Record a robot, or a simulator, that reports the torques of its motors.",
+        )
+    aim = regression.estimate(measured)
+    delays = [delay for one in fitted if (delay := torque_delay(one, robot)[0]) is not None]
+    delay = float(np.median(delays)) if delays else 0.0
+    aim_scale, scale_spread = _scales(fitted, delay)
+    values, scale = aim.values, aim_scale
+    for number in range(_ROUNDS):
+        changed = replace(robot, parameters=_parameters(robot, values, scale, delay))
+        found, found_scale = _of_simulation(data, changed, regression, delay, number)
+        values = values + aim.values - found
+        scale = scale + aim_scale - found_scale
+        progress((number + 1) / (_ROUNDS + 1))
+    fit = _fit(robot, aim, values, scale, scale_spread, delay if delays else None, fitted, held[0])
+    fit.sessions = [one.name for one in records]
+    fit.held_out = judged[0].name if hold_out is not None else "the last 20 %"
+    fit.gap_before_rad = _gap(judged, held, robot)
+    fit.gap_after_rad = _gap(judged, held, replace(robot, parameters=_written(fit)))
+    progress(1.0)
+    return fit
+
+
+def _held(recorded: Recorded, support: str | None) -> Support:
+    held = world_support(recorded, support)
+    if held == "free":
+        raise RecordingError(
+            f"{recorded.name} is of a robot on its feet, whose forces are not known.",
+            "Record one that is bolted or hangs, such as with `g1stream fit --motion-out`.",
+        )
+    return held
+
+
+def _split(recorded: Recorded) -> tuple[Recorded, Recorded]:
+    n = round((1.0 - _HELD_OUT) * len(recorded.time))
+    return recorded.part(slice(0, n)), recorded.part(slice(n, len(recorded.time)))
+
+
+def _has_torque(recorded: Recorded) -> bool:
+    return bool(recorded.tau.any())
+
+
+def _windows(recorded: Recorded) -> list[slice]:
+    # The first state of a window is the last one of the window before.
+    return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW)]
+
+
+def _measured(recorded: Recorded, support: Support) -> Movement:
+    base = np.concatenate([recorded.quat_wxyz, recorded.gyroscope, recorded.accelerometer], axis=1)
+    windows = _windows(recorded)
+    return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
+
+
+def _of_simulation(
+    data: Sequence[tuple[Recorded, Support]],
+    robot: G1,
+    regression: Regression,
+    delay: float,
+    seed: int,
+) -> tuple[Floats, Floats]:
+    """The estimate (P,) and the torque scales (29,) of the simulated sessions: means over draws."""
+    rng = np.random.default_rng(seed)
+    runs = [
+        simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False)
+        for one, held in data
+    ]
+    values, scales = [], []
+    for _ in range(_DRAWS):
+        movements, noisy = [], []
+        for (one, held), run in zip(data, runs, strict=True):
+            windows = _windows(one)
+            like = {"q": run.q, "dq": run.dq, "tau": run.tau, "base": run.base}
+            sensed = {
+                "q": one.q,
+                "dq": one.dq,
+                "tau": one.tau,
+                "base": np.concatenate([one.quat_wxyz, one.gyroscope, one.accelerometer], axis=1),
+            }
+            for name, values_of in like.items():
+                sigma = noise_of(sensed[name])
+                like[name] = np.nan_to_num(values_of + sigma * rng.standard_normal(values_of.shape))
+            movements.append(
+                Movement(like["q"], like["tau"], like["base"], one.period, windows, held)
+            )
+            noisy.append(replace(one, q=like["q"], dq=like["dq"], tau=like["tau"]))
+        values.append(regression.estimate(movements).values)
+        scales.append(_scales(noisy, delay)[0])
+    return np.mean(values, axis=0), np.mean(scales, axis=0)
+
+
+def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
+    """The torque scales (29,) by least squares, and their variances, by blocks of a second."""
+    squares, products = [], []
+    for one in records:
+        asked, known = motor_torque(one, delay)
+        use = known[:, np.newaxis] & (np.abs(asked) > 0.0)
+        x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
+        for rows in np.array_split(np.arange(len(x)), max(1, round(one.time[-1] - one.time[0]))):
+            squares.append((x[rows] ** 2).sum(axis=0))
+            products.append((x[rows] * y[rows]).sum(axis=0))
+    square, product = np.stack(squares), np.stack(products)
+    total = square.sum(axis=0)
+    told = total > 1e-6
+    scale = np.divide(product.sum(axis=0), total, out=np.ones(N_JOINTS), where=told)
+    scores = product - scale * square
+    variance = np.full(N_JOINTS, 1.0)
+    np.divide((scores**2).sum(axis=0), total**2, out=variance, where=told)
+    return scale, variance
+
+
+def _parameters(robot: G1, values: Floats, scale: Floats, delay: float) -> Parameters:
+    """Those of a simulation."""
+    damping, friction, armature = (
+        np.maximum(part, _LEAST[kind])
+        for kind, part in zip(_LEAST, values[: 3 * N_JOINTS].reshape(3, N_JOINTS), strict=True)
+    )
+    masses = {
+        link: float(np.clip(value, -3.0, 5.0))
+        for link, value in zip(LINKS, values[3 * N_JOINTS :], strict=True)
+    }
+    return Parameters(
+        damping=damping,
+        friction=friction,
+        armature=armature,
+        torque_scale=np.clip(scale, 0.2, 2.0),
+        command_delay=delay,
+        mass=masses,
+    )
+
+
+def _fit(
+    robot: G1,
+    aim: Estimate,
+    values: Floats,
+    scale: Floats,
+    scale_variance: Floats,
+    delay: float | None,
+    fitted: Sequence[Recorded],
+    support: Support,
+) -> Fit:
+    """The values with their intervals."""
+    reach = float(student.ppf(0.975, max(2, aim.blocks - 4))) * np.sqrt(1.0 + 1.0 / _DRAWS)
+    half = reach * np.sqrt(np.diag(aim.covariance))
+    found = []
+    for (kind, name), value, to in zip(names_of(LINKS), values, half, strict=True):
+        default = 0.0
+        if kind != "mass":
+            default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
+        told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
+        if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
+            continue
+        found.append(_value(kind, name, value, to, default, told))
+    for j in np.flatnonzero(robot.present):
+        to = reach * float(np.sqrt(scale_variance[j]))
+        told = to <= _TOLD_SCALE
+        found.append(_value("torque_scale", JOINT_NAMES[j], scale[j], to, 1.0, told))
+    period = fitted[0].period
+    found.append(_value("command_delay", "", delay or 0.0, 0.5 * period, 0.0, delay is not None))
+    return Fit(
+        sessions=[],
+        held_out="",
+        robot=robot.name,
+        support=support,
+        fitted_s=float(sum(one.time[-1] - one.time[0] for one in fitted)),
+        values=found,
+        gap_before_rad=0.0,
+        gap_after_rad=0.0,
+    )
+
+
+def _value(
+    kind: str, name: str, value: float, half: float, default: float, told: bool
+) -> FittedValue:
+    return FittedValue(
+        kind=kind,
+        name=name,
+        value=value,
+        low=value - half,
+        high=value + half,
+        default=default,
+        told=bool(told),
+    )
+
+
+def _written(fit: Fit) -> Parameters:
+    """The parameters of the file that a fit writes."""
+    arrays: dict[str, Any] = {
+        kind: getattr(NOMINAL, kind).copy()
+        for kind in ("damping", "friction", "armature", "torque_scale")
+    }
+    masses, delay = {}, 0.0
+    for one in fit.values:
+        if not one.written:
+            continue
+        if one.kind == "mass":
+            masses[one.name] = one.value
+        elif one.kind == "command_delay":
+            delay = one.value
+        else:
+            arrays[one.kind][JOINT_NAMES.index(one.name)] = max(
+                one.value, _LEAST.get(one.kind, 0.2)
+            )
+    return Parameters(**arrays, mass=masses, command_delay=delay)
+
+
+def _gap(records: Sequence[Recorded], held: Sequence[Support], robot: G1) -> float:
+    """RMS over all joints and sessions, without noise."""
+    squares = []
+    for number, one in enumerate(records):
+        support = held[min(number, len(held) - 1)]
+        simulated = simulate_commands(one, robot, support=support, window=_JUDGED)
+        squares.append(compare(one, simulated, robot, _JUDGED).q_rad ** 2)
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _toml(fit: Fit) -> str:
+    """The parameters as a file, with their intervals as comments."""
+    lines = [
+        f"# Parameters of a G1, fitted by g1stream to {', '.join(fit.sessions)}.",
+        f"# Gap of {fit.held_out}: {1e3 * fit.gap_before_rad:.2f} mrad before, "
+        f"{1e3 * fit.gap_after_rad:.2f} mrad with them. Behind each value: its 95 % interval.",
+        f'robot = "{fit.robot}"',
+    ]
+    for kind, unit in sorted(_UNITS.items(), key=lambda one: one[0] != "command_delay"):
+        told = [one for one in fit.values if one.kind == kind and one.written]
+        if kind == "command_delay":
+            lines += [f"command_delay = {one.value:.4f}  {_interval(one, unit)}" for one in told]
+            continue
+        if told:
+            lines += ["", f"[{kind}]"]
+        for one in told:
+            value = max(one.value, _LEAST.get(kind, one.value))
+            lines.append(f"{one.name} = {value:.5f}  {_interval(one, unit)}")
+    return "\n".join(lines) + "\n"
+
+
+def _interval(one: FittedValue, unit: str) -> str:
+    return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip()
+
+
+def _render(fit: Fit) -> str:
+    """As text."""
+    heads = ("joint", "damping", "+-", "friction", "+-", "armature", "+-", "scale", "+-")
+    rows: list[Sequence[str]] = [heads]
+    kinds: tuple[Kind, ...] = ("damping", "friction", "armature", "torque_scale")
+    of_joints = {one.name for one in fit.values if one.kind == "friction"}
+    untold = []
+    for name in (name for name in JOINT_NAMES if name in of_joints):
+        cells = [name.removesuffix("_joint")]
+        for kind in kinds:
+            one = fit.find(kind, name)
+            digits = 4 if kind == "armature" else 3
+            cells += [f"{one.value:.{digits}f}", f"{one.value - one.low:.{digits}f}"]
+            if not one.told:
+                cells[-2:] = ["?", f"{one.value - one.low:.{digits}f}"]
+                untold.append(one)
+        rows.append(cells)
+    masses = [one for one in fit.values if one.kind == "mass"]
+    added = [("link", "kg added", "+-")]
+    added += [
+        (
+            one.name.removesuffix("_link"),
+            f"{one.value:+.3f}" if one.told else "?",
+            f"{one.value - one.low:.3f}",
+        )
+        for one in masses
+    ]
+    delay = fit.find("command_delay")
+    told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
+    return "\n".join(
+        [
+            labelled(
+                "fit     ",
+                f"{', '.join(fit.sessions)}: {fit.fitted_s:.1f} s, {fit.robot}, {fit.support}",
+            ),
+            f"delay   {told if delay.told else 'the sessions do not tell'}",
+            f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
+            f"after, {100 * fit.reduction:.0f} % less, of {fit.held_out}",
+            *(["?       the sessions cannot tell this value"] if untold else []),
+            "",
+            *table(rows, left=(0,)),
+            "",
+            *table(added, left=(0,)),
+        ]
+    )

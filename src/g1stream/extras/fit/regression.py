@@ -1,0 +1,268 @@
+"""Least squares on the inverse dynamics: what measured movements and torques say of the parameters.
+
+A joint's torque is linear in its viscous friction, dry friction and armature, and in masses that are
+added to links (W. Khalil and E. Dombre, "Modeling, Identification and Control of Robots", 2002,
+chapter 12):
+
+    s tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
+
+Velocities and accelerations are those of positions that are low-passed without a phase, and both
+sides of the equation are low-passed alike. What noise, sampling and low-pass do to the estimates is
+not corrected here: `identify` does, by simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g1stream.extras.fit.recorded import smoothed
+from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
+from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_rotate
+from g1stream.types import Floats, Support
+
+__all__ = ["LINKS", "Estimate", "Movement", "Regression", "names_of"]
+
+LINKS: Final = (
+    "torso_link",
+    *(
+        f"{side}_{part}_link"
+        for side in ("left", "right")
+        for part in ("hip_yaw", "knee", "ankle_roll", "shoulder_yaw", "elbow", "wrist_yaw")
+    ),
+)
+"""The links to which masses are added, those of what people mount: trunk, thighs, shanks, feet,
+upper arms, forearms and hands."""
+
+_CUTOFF: Final = 10.0
+"""Of the low-pass, Hz."""
+_ROWS: Final = 50.0
+"""Equations per second that are kept: neighbouring ones tell the same."""
+#: The ends of a window that the low-pass has not settled in, s.
+_MARGIN: Final = 0.1
+#: Dry friction is unknown below this speed, rad/s, and has its full value from about half of it on.
+_STILL: Final = 0.1
+#: A block of equations, s, whose errors are taken for independent of those of others.
+_BLOCK: Final = 1.0
+#: What is known of the parameters beforehand, as a standard deviation of so many times the default,
+#: and of added masses, kg: it decides only where a session tells nothing.
+_PRIOR, _PRIOR_MASS = 5.0, 3.0
+_BASE: Final = 6
+
+
+class Movement(NamedTuple):
+    """What is known of a robot at N instants, evenly sampled within each window.
+
+    Attributes:
+        q: (N, 29) rad.
+        tau: (N, 29) N·m that the motors applied.
+        base: (N, 10) of the pelvis's IMU: quaternion wxyz, gyroscope, accelerometer.
+        period: s.
+        windows: parts without a gap.
+        support: how the base is held.
+    """
+
+    q: Floats
+    tau: Floats
+    base: Floats
+    period: float
+    windows: Sequence[slice]
+    support: Support
+
+
+class Estimate(NamedTuple):
+    """Parameters of least squares.
+
+    Attributes:
+        values: (P,) in the order of `names_of`.
+        covariance: (P, P) by blocks of equations, whatever their errors are like.
+        blocks: how many.
+    """
+
+    values: Floats
+    covariance: Floats
+    blocks: int
+
+
+def names_of(links: Sequence[str]) -> list[tuple[str, str]]:
+    """The parameters: their kind, and the joint or link."""
+    motors = [(kind, name) for kind in ("damping", "friction", "armature") for name in JOINT_NAMES]
+    return [*motors, *(("mass", link) for link in links)]
+
+
+class Regression:
+    """The equations of a robot, with the masses of its URDF.
+
+    Args:
+        robot: without parameters.
+        links: to which a mass is added.
+    """
+
+    def __init__(self, robot: G1, links: Sequence[str]) -> None:
+        import mujoco
+
+        self.links = tuple(links)
+        self._mujoco: Any = mujoco
+        model = compiled_dynamics(robot, GRAVITY)
+        self._models = [model]
+        for link in links:
+            heavier = copy(model)
+            heavier.body_mass[model.body(link).id] += 1.0
+            self._models.append(heavier)
+        self._data: Any = mujoco.MjData(model)
+        self._present = np.flatnonzero(robot.present)
+        joints = [model.joint(JOINT_NAMES[j]) for j in self._present]
+        self._places = np.array([joint.qposadr[0] for joint in joints])
+        self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        names = robot.link_names
+        imu = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0
+        self._imu_pos = robot.origin_pos[imu] if robot.parent[imu] == 0 else np.zeros(3)
+
+    def estimate(self, movements: Sequence[Movement]) -> Estimate:
+        """The parameters with which the equations of some movements fit best.
+
+        Equations of a joint count by the variance of what they leave. The covariance is that of
+        blocks of a second (H. White 1980, by clusters).
+        """
+        parts = [part for one in movements for part in self._equations(one)]
+        n = 3 * N_JOINTS + len(self.links)
+        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(self.links))])
+        loose = np.concatenate(
+            [_PRIOR * prior[: 3 * N_JOINTS], np.full(len(self.links), _PRIOR_MASS)]
+        )
+        variance = np.ones(N_JOINTS)
+        values = prior
+        for _ in range(3):
+            normals, products = np.zeros((len(parts), n, n)), np.zeros((len(parts), n))
+            for i, part in enumerate(parts):
+                normals[i], products[i] = part.normal(1.0 / variance)
+            regular = np.diag(1.0 / loose**2)
+            total = normals.sum(axis=0) + regular
+            values = np.linalg.solve(total, products.sum(axis=0) + regular @ prior)
+            left = np.stack([part.squares(values) for part in parts])
+            rows = np.stack([part.used.sum(axis=0) for part in parts])
+            variance = np.maximum(left.sum(axis=0) / np.maximum(1, rows.sum(axis=0)), 1e-6)
+        scores = products - normals @ values
+        inverse = np.linalg.inv(total)
+        few = len(parts) / max(1, len(parts) - 4)
+        spread = few * scores.T @ scores + regular
+        return Estimate(values, inverse @ spread @ inverse, len(parts))
+
+    def _equations(self, movement: Movement) -> list[_Block]:
+        """The equations of a movement, block by block."""
+        rate = 1.0 / movement.period
+        step, margin = max(1, round(rate / _ROWS)), round(_MARGIN * rate)
+        told = np.zeros(N_JOINTS, dtype=bool)
+        told[self._present] = True
+        if movement.support != "bolted":  # the force at the torso goes through the waist
+            told[list(JOINT_GROUPS["waist"])] = False
+        blocks = []
+        for part in movement.windows:
+            if part.stop - part.start < 4 * margin:
+                continue
+            q = smoothed(movement.q[part], rate, _CUTOFF)
+            dq = np.gradient(q, movement.period, axis=0)
+            ddq = np.gradient(dq, movement.period, axis=0)
+            # Both sides are low-passed alike; positions are smooth enough to be used as they are.
+            dry = smoothed(np.tanh(dq / (0.5 * _STILL)), rate, _CUTOFF)
+            tau = smoothed(movement.tau[part], rate, _CUTOFF)
+            base = smoothed(movement.base[part], rate, _CUTOFF)
+            turning = np.gradient(base[:, 4:7], movement.period, axis=0)
+            kept = np.arange(margin, len(q) - margin, step)
+            torque, masses = self._inverse(
+                q[kept], dq[kept], ddq[kept], base[kept], turning[kept], movement.support
+            )
+            used = told & (np.abs(dq[kept]) > _STILL)
+            whole = _Block(
+                tau[kept] - torque, np.stack([dq[kept], dry[kept], ddq[kept]]), masses, used
+            )
+            n = max(1, round(len(kept) * step * movement.period / _BLOCK))
+            blocks += [whole.rows(rows) for rows in np.array_split(np.arange(len(kept)), n)]
+        return blocks
+
+    def _inverse(
+        self, q: Floats, dq: Floats, ddq: Floats, base: Floats, turning: Floats, support: Support
+    ) -> tuple[Floats, Floats]:
+        """Torques (R, 29) without rotors and friction, and (L, R, 29) those of a kg at each link."""
+        mujoco, data = self._mujoco, self._data
+        found = np.zeros((len(self._models), len(q), N_JOINTS))
+        result = np.empty(self._models[0].nv)
+        quat = base[:, :4] / np.linalg.norm(base[:, :4], axis=1, keepdims=True)
+        bolted = support == "bolted"
+        acc = np.zeros((len(q), _BASE))
+        rates = np.zeros((len(q), 3)) if bolted else base[:, 4:7]
+        if bolted:
+            quat = np.tile(quat.mean(axis=0), (len(q), 1))
+        else:
+            swing = np.cross(turning, self._imu_pos) + np.cross(
+                rates, np.cross(rates, self._imu_pos)
+            )
+            acc[:, :3] = quat_rotate(quat, base[:, 7:] - swing) - [0.0, 0.0, GRAVITY]
+            acc[:, 3:] = turning
+        for number, model in enumerate(self._models):
+            for k in range(len(q)):
+                data.qpos[3:7] = quat[k]
+                data.qpos[self._places] = q[k, self._present]
+                data.qvel[3:_BASE] = rates[k]
+                data.qvel[self._dofs] = dq[k, self._present]
+                data.qacc[:_BASE] = acc[k]
+                data.qacc[self._dofs] = ddq[k, self._present]
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_comVel(model, data)
+                mujoco.mj_rne(model, data, 1, result)
+                found[number, k, self._present] = result[self._dofs]
+        return found[0], found[1:] - found[0]
+
+
+class _Block(NamedTuple):
+    """R equations of each joint: y (R, 29) = x (3, R, 29) times its own + masses (L, R, 29)."""
+
+    y: Floats
+    x: Floats
+    masses: Floats
+    used: NDArray[np.bool_]  # (R, 29)
+
+    def rows(self, rows: NDArray[np.intp]) -> _Block:
+        return _Block(self.y[rows], self.x[:, rows], self.masses[:, rows], self.used[rows])
+
+    def normal(self, weight: Floats) -> tuple[Floats, Floats]:
+        """The normal matrix (P, P) and right side (P,), with a weight (29,) for each joint."""
+        n_links = len(self.masses)
+        n = 3 * N_JOINTS + n_links
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        last = slice(3 * N_JOINTS, n)
+        for j in range(N_JOINTS):
+            used = self.used[:, j]
+            if not used.any():
+                continue
+            own = np.arange(3) * N_JOINTS + j
+            x, m = self.x[:, used, j], self.masses[:, used, j]
+            y = self.y[used, j]
+            matrix[np.ix_(own, own)] += weight[j] * (x @ x.T)
+            cross = weight[j] * (x @ m.T)
+            matrix[own, last] += cross
+            matrix[last, own] += cross.T
+            matrix[last, last] += weight[j] * (m @ m.T)
+            right[own] += weight[j] * (x @ y)
+            right[last] += weight[j] * (m @ y)
+        return matrix, right
+
+    def squares(self, values: Floats) -> Floats:
+        """(29,) what the equations leave, squared and summed."""
+        own, masses = values[: 3 * N_JOINTS].reshape(3, N_JOINTS), values[3 * N_JOINTS :]
+        left = self.y - (self.x * own[:, np.newaxis]).sum(axis=0)
+        left -= np.tensordot(masses, self.masses, axes=1)
+        total: Floats = (np.where(self.used, left, 0.0) ** 2).sum(axis=0)
+        return total
+
+
+def by_kind(values: Mapping[tuple[str, str], float], kind: str) -> dict[str, float]:
+    """Of parameters by kind and name, those of a kind by name."""
+    return {name: value for (one, name), value in values.items() if one == kind}

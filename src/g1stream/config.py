@@ -72,7 +72,7 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 #: The commands that play on a robot.
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
-ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library", "simulate")
+ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library", "simulate", "fit")
 #: The commands that take `--params`.
 _PARAMS: Final = ("demo", "stream", "replay", "sim", "physics", "library", "simulate")
 #: The commands that take `--live`.

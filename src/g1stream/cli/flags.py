@@ -173,7 +173,7 @@ class _Parser(ArgumentParser):
             about["type"] = self._reader(shown, kind, option.limits)
             about["action"] = "append" if get_origin(kind) is list else "store"
             if get_origin(kind) is tuple:
-                about["nargs"] = "+"
+                about["nargs"] = "*" if option.positional and not option.required else "+"
             elif option.positional and not option.required:
                 about["nargs"] = "?"
         if option.positional:

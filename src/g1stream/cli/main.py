@@ -72,6 +72,10 @@ COMMANDS: Final = {
             "extras.fit.simulate_cli:Simulate",
             "Simulate the commands of a session: where robot and simulator differ.",
         ),
+        "fit": (
+            "extras.fit.fit_cli:FitParameters",
+            "Fit friction, armature, delay and masses of a robot to its sessions.",
+        ),
         "render": (
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",

@@ -123,9 +123,8 @@ def _colliding(world: World, joint_pos: Floats) -> Any:
     import mujoco
 
     model, data = world.model, world.data
-    root = Root(
-        np.array([0.0, 0.0, 5.0]), np.array([1.0, 0.0, 0.0, 0.0]), *np.zeros((2, 3)), playing=True
-    )
+    upright, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    root = Root(np.array([0.0, 0.0, 5.0]), upright, still, still, playing=True)
     wrong = np.zeros(N_JOINTS, dtype=bool)
     dofs = [
         model.joint(name).dofadr[0] if has else -1

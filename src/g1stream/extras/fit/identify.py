@@ -37,6 +37,8 @@ Kind = Literal["damping", "friction", "armature", "torque_scale", "mass", "comma
 
 #: Of a window of the regression, and of one of the judgement, s.
 _WINDOW, _JUDGED = 2.0, 1.0
+#: Of long sessions, windows of so many s together are fitted, and judged.
+_MOST, _MOST_JUDGED = 60.0, 30.0
 #: Simulations with better and better parameters, and draws of noise for each.
 _ROUNDS, _DRAWS = 3, 4
 #: Of a session that is the only one, what the judgement is made with.
@@ -44,6 +46,8 @@ _HELD_OUT: Final = 0.2
 #: A session tells a value whose interval reaches this far, as a part of the value or of the default
 #: if that is greater; masses, kg; scales.
 _TOLD, _TOLD_MASS, _TOLD_SCALE = 0.5, 0.5, 0.05
+#: No interval of a scale is narrower: when in a tick a torque was taken is not known.
+_FINEST_SCALE: Final = 0.005
 _UNITS: Final = {
     "damping": "N·m·s/rad",
     "friction": "N·m",
@@ -94,8 +98,8 @@ class Fit(Record):
         support: how it was held.
         fitted_s: of the windows that were fitted.
         values: of all parameters.
-        gap_before_rad, gap_after_rad: of the held-out session, RMS of all joints without noise, with
-            the default parameters and with these.
+        gap_before_rad, gap_after_rad: of the held-out session, RMS of all joints without noise,
+            with the default parameters and with these.
     """
 
     sessions: list[str]
@@ -163,7 +167,7 @@ def fit_parameters(
         fitted, judged = records, [Recorded.of(other)]
     regression = Regression(robot, LINKS)
     data = list(zip(fitted, held, strict=False))
-    measured = [_measured(one, how) for one, how in data]
+    measured = [_measured(one, how, _MOST / len(data)) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
         raise RecordingError(
             f"{fitted[0].name} has no torques: tau_est of every LowState is 0.",
@@ -208,14 +212,14 @@ def _has_torque(recorded: Recorded) -> bool:
     return bool(recorded.tau.any())
 
 
-def _windows(recorded: Recorded) -> list[slice]:
+def _windows(recorded: Recorded, most: float) -> list[slice]:
     # The first state of a window is the last one of the window before.
-    return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW)]
+    return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW, most)]
 
 
-def _measured(recorded: Recorded, support: Support) -> Movement:
+def _measured(recorded: Recorded, support: Support, most: float) -> Movement:
     base = np.concatenate([recorded.quat_wxyz, recorded.gyroscope, recorded.accelerometer], axis=1)
-    windows = _windows(recorded)
+    windows = _windows(recorded, most)
     return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
 
 
@@ -229,14 +233,16 @@ def _of_simulation(
     """The estimate (P,) and the torque scales (29,) of the simulated sessions: means over draws."""
     rng = np.random.default_rng(seed)
     runs = [
-        simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False)
+        simulate_commands(
+            one, robot, support=held, window=_WINDOW, repeats=False, most=_MOST / len(data)
+        )
         for one, held in data
     ]
     values, scales = [], []
     for _ in range(_DRAWS):
         movements, noisy = [], []
         for (one, held), run in zip(data, runs, strict=True):
-            windows = _windows(one)
+            windows = _windows(one, _MOST / len(data))
             like = {"q": run.q, "dq": run.dq, "tau": run.tau, "base": run.base}
             sensed = {
                 "q": one.q,
@@ -319,7 +325,7 @@ def _fit(
             continue
         found.append(_value(kind, name, value, to, default, told))
     for j in np.flatnonzero(robot.present):
-        to = reach * float(np.sqrt(scale_variance[j]))
+        to = max(_FINEST_SCALE, reach * float(np.sqrt(scale_variance[j])))
         told = to <= _TOLD_SCALE
         found.append(_value("torque_scale", JOINT_NAMES[j], scale[j], to, 1.0, told))
     period = fitted[0].period
@@ -376,7 +382,9 @@ def _gap(records: Sequence[Recorded], held: Sequence[Support], robot: G1) -> flo
     squares = []
     for number, one in enumerate(records):
         support = held[min(number, len(held) - 1)]
-        simulated = simulate_commands(one, robot, support=support, window=_JUDGED)
+        simulated = simulate_commands(
+            one, robot, support=support, window=_JUDGED, most=_MOST_JUDGED / len(records)
+        )
         squares.append(compare(one, simulated, robot, _JUDGED).q_rad ** 2)
     return float(np.sqrt(np.mean(squares)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,11 @@ _GAP: Final = 50_000_000
 _CLOCK: Final = 0.5
 #: The attitude and place of a base that is driven along them are smoothed to so many Hz.
 _BASE_CUTOFF: Final = 15.0
+#: Attributes with a row for each LowState.
+_OF_STATES: Final[tuple[str, ...]] = (
+    *("published", "time", "q", "dq", "tau", "quat_wxyz", "gyroscope", "accelerometer"),
+    *("base_pos", "base_lin_vel"),
+)
 #: The standard deviation of the fourth difference of white noise over that of the noise.
 _FOURTH: Final = np.sqrt(70.0)
 #: The median of |x| over the standard deviation of a normal distribution.
@@ -133,17 +138,21 @@ class Recorded:
 
     def part(self, rows: slice) -> Recorded:
         """Some of the states, with all commands."""
-        sliced = {
-            name: values[rows]
-            for name, values in vars(self).items()
-            if isinstance(values, np.ndarray)
-            and len(values) == len(self.time)
-            and name not in ("command_times", "enabled", "commands")
+        of_states: Any = {
+            name: values[rows] for name in _OF_STATES if (values := getattr(self, name)) is not None
         }
-        return replace(self, **sliced)
+        return replace(self, **of_states)
 
-    def windows(self, length: float) -> Iterator[slice]:
-        """Parts of `length` s at most, none over a gap; the last state of one begins the next."""
+    def windows(self, length: float, most: float = np.inf) -> list[slice]:
+        """Parts of `length` s at most, none over a gap; the last state of one begins the next.
+
+        Of more than `most` s, evenly spread ones that are no more.
+        """
+        every = list(self._windows(length))
+        n = max(1, int(min(most / length, len(every))))
+        return [every[i] for i in np.unique(np.linspace(0, len(every) - 1, n).astype(int))]
+
+    def _windows(self, length: float) -> Iterator[slice]:
         n, start = max(1, round(length / self.period)), 0
         gaps = np.flatnonzero(np.diff(self.published) > _GAP) + 1
         for end in (*gaps.tolist(), len(self.time)):

@@ -1,10 +1,10 @@
-"""Least squares on the inverse dynamics: what measured movements and torques say of the parameters.
+"""Least squares on the inverse dynamics: what movements and torques say of the parameters.
 
-A joint's torque is linear in its viscous friction, dry friction and armature, and in masses that are
-added to links (W. Khalil and E. Dombre, "Modeling, Identification and Control of Robots", 2002,
-chapter 12):
+A joint's torque is linear in its viscous friction, dry friction and armature, and in masses that
+are added to links (W. Khalil and E. Dombre, "Modeling, Identification and Control of Robots",
+2002, chapter 12):
 
-    s tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
+    tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
 
 Velocities and accelerations are those of positions that are low-passed without a phase, and both
 sides of the equation are low-passed alike. What noise, sampling and low-pass do to the estimates is
@@ -13,7 +13,7 @@ not corrected here: `identify` does, by simulation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, Final, NamedTuple
 
@@ -48,6 +48,8 @@ _ROWS: Final = 50.0
 _MARGIN: Final = 0.1
 #: Dry friction is unknown below this speed, rad/s, and has its full value from about half of it on.
 _STILL: Final = 0.1
+#: Nearer than this to a limit the joint may press against its stop, rad.
+_STOP: Final = 0.03
 #: A block of equations, s, whose errors are taken for independent of those of others.
 _BLOCK: Final = 1.0
 #: What is known of the parameters beforehand, as a standard deviation of so many times the default,
@@ -116,6 +118,7 @@ class Regression:
             heavier.body_mass[model.body(link).id] += 1.0
             self._models.append(heavier)
         self._data: Any = mujoco.MjData(model)
+        self._lower, self._upper = robot.lower, robot.upper
         self._present = np.flatnonzero(robot.present)
         joints = [model.joint(JOINT_NAMES[j]) for j in self._present]
         self._places = np.array([joint.qposadr[0] for joint in joints])
@@ -178,7 +181,8 @@ class Regression:
             torque, masses = self._inverse(
                 q[kept], dq[kept], ddq[kept], base[kept], turning[kept], movement.support
             )
-            used = told & (np.abs(dq[kept]) > _STILL)
+            free = (q[kept] > self._lower + _STOP) & (q[kept] < self._upper - _STOP)
+            used = told & free & (np.abs(dq[kept]) > _STILL)
             whole = _Block(
                 tau[kept] - torque, np.stack([dq[kept], dry[kept], ddq[kept]]), masses, used
             )
@@ -189,7 +193,7 @@ class Regression:
     def _inverse(
         self, q: Floats, dq: Floats, ddq: Floats, base: Floats, turning: Floats, support: Support
     ) -> tuple[Floats, Floats]:
-        """Torques (R, 29) without rotors and friction, and (L, R, 29) those of a kg at each link."""
+        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg at each link."""
         mujoco, data = self._mujoco, self._data
         found = np.zeros((len(self._models), len(q), N_JOINTS))
         result = np.empty(self._models[0].nv)
@@ -261,8 +265,3 @@ class _Block(NamedTuple):
         left -= np.tensordot(masses, self.masses, axes=1)
         total: Floats = (np.where(self.used, left, 0.0) ** 2).sum(axis=0)
         return total
-
-
-def by_kind(values: Mapping[tuple[str, str], float], kind: str) -> dict[str, float]:
-    """Of parameters by kind and name, those of a kind by name."""
-    return {name: value for (one, name), value in values.items() if one == kind}

@@ -90,6 +90,7 @@ def simulate_commands(
     window: float = 1.0,
     self_collision: bool = True,
     repeats: bool = True,
+    most: float = np.inf,
 ) -> Simulated:
     """Simulate the robot under the recorded commands.
 
@@ -103,6 +104,7 @@ def simulate_commands(
         window: s.
         self_collision: links collide with each other.
         repeats: simulate some windows twice, for `Simulated.spread`.
+        most: s that are simulated, by windows that are evenly spread over the recording.
 
     Raises:
         SimError: the state can no longer be integrated.
@@ -112,7 +114,7 @@ def simulate_commands(
     noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
     values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
     base = np.full((len(recorded.time), 10), np.nan)
-    windows = tuple(recorded.windows(window))
+    windows = tuple(recorded.windows(window, most))
     rng, squares, n = np.random.default_rng(0), np.zeros((3, N_JOINTS)), 0
     every = max(1, min(_ONE_IN, len(windows) // _REPEATED))
     for number, part in enumerate(windows):
@@ -145,7 +147,7 @@ class _Run:
             state: (2, 29) positions and velocities that it begins with.
 
         Returns:
-            (W, 3, 29) positions, velocities and torques, and (W, 10) what the pelvis's IMU measures.
+            (W, 3, 29) positions, velocities and torques; (W, 10) what the pelvis's IMU measures.
         """
         recorded, world = self._recorded, self._world
         command = off = MotorCommand.off()

@@ -1,0 +1,96 @@
+"""`g1stream fit`: friction, armature, delay, torque and masses of a robot, from sessions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines
+from g1stream.cli.flags import flag
+from g1stream.cli.progress import showing_progress
+from g1stream.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitParameters(SettingsCommand):
+    """Fits the parameters of a bolted or hanging robot, and writes them as a file for --params.
+
+    That is per joint viscous and dry friction, armature and torque scale, the delay of commands,
+    and masses added to trunk, limbs, hands and feet. Each has a 95 % interval; what the sessions
+    cannot tell is not written, such as the friction of a joint that hardly moved. The gap between
+    robot and simulator, before and after, is that of a session, or a part, that was not fitted.
+
+    Examples:
+      g1stream fit --motion-out excite.npz
+      g1stream stream excite.npz --support hanging --record excite.mcap
+      g1stream fit excite.mcap -o g1.toml --hold-out dance.mcap
+      g1stream sim --params g1.toml
+
+    Exit codes:
+      0  fitted and written
+      2  bad input: no commands, states or torques, or the robot stood on its feet
+    """
+
+    sessions: tuple[Path, ...] = flag(
+        (), "Session files of one robot.", "SESSION...", positional=True, shown="none"
+    )
+    out: Path | None = flag(
+        None, "The parameters file to write.", "TOML", aliases=("-o",), shown="none"
+    )
+    hold_out: Path | None = flag(
+        None,
+        "Session to judge the parameters with.",
+        "SESSION",
+        shown="the last fifth of each session",
+    )
+    motion_out: Path | None = flag(
+        None, "Write a motion that shows the parameters, to be played and recorded.", "NPZ"
+    )
+    seconds: float = flag(40.0, "Length of that motion.", "S", gt=0.0)
+    support: str | None = flag(
+        None, "How the robot was held: bolted, hanging.", "SUPPORT", shown="as the sessions say"
+    )
+    force: bool = flag(False, "Replace a file that is there.")
+    json: bool = flag(False, "Print what was fitted as JSON.")
+
+    def run(self) -> int:
+        """Fit, write, print, and return the exit code."""
+        from g1stream.files import check_output_path, check_suffix
+        from g1stream.robot.model import G1
+
+        config = self.resolve()
+        if bool(self.sessions) == bool(self.motion_out):
+            raise ConfigError(
+                "Either sessions to fit, or --motion-out for a motion to record, is to be given.",
+                "`g1stream fit --help` has an example of both.",
+            )
+        if self.motion_out:
+            from g1stream.extras.fit.excite import exciting_motion
+
+            motion = exciting_motion(G1.load(config.robot), seconds=self.seconds)
+            print(motion.save(self.motion_out, force=self.force))
+            return EXIT_OK
+        from g1stream.app.session import open_session
+        from g1stream.extras.fit.gap import robot_of
+        from g1stream.extras.fit.identify import fit_parameters
+
+        if self.out is not None:  # refused now, and not when all is computed
+            check_suffix(self.out, "a parameters file", ".toml")
+            check_output_path(self.out, force=self.force)
+        sessions = [open_session(path) for path in self.sessions]
+        with showing_progress() as progress:
+            fit = fit_parameters(
+                sessions,
+                hold_out=self.hold_out,
+                robot=robot_of(sessions[0], config.robot),
+                support=self.support,
+                progress=partial(progress, "fit"),
+            )
+        if self.out is not None:
+            fit.save(self.out, force=self.force)
+        if self.json:
+            print_json(fit.model_dump(mode="json"))
+        else:
+            print_lines(str(fit))
+        return EXIT_OK

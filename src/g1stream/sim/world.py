@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import SimError
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, TORQUE_LIMIT
 from g1stream.robot.rotations import quat_mul, quat_normalize, quat_rotate_inverse
 from g1stream.sim.model import BASE_BODY, BASE_TARGET, build_model
 
@@ -79,15 +79,16 @@ class Imu(NamedTuple):
 class WorldState(NamedTuple):
     """What is measured after a physics step, joints in motor order; the arrays are copies.
 
-    Positions, velocities and attitudes are those at `time`; accelerations and torques are those of
-    the step that led there.
+    Positions, velocities and attitudes are those at `time`; accelerations are those of the timestep
+    that led there, torques the means over the timesteps of the last `World.step`.
     """
 
     time: float  # s of simulated time
     q: NDArray[np.float64]  # (29,) rad
     dq: NDArray[np.float64]  # (29,) rad/s
     ddq: NDArray[np.float64]  # (29,) rad/s²
-    tau_est: NDArray[np.float64]  # (29,) N·m that the motors applied, limits included
+    # (29,) N·m that the motors applied, limits included: what changed the joints' velocities.
+    tau_est: NDArray[np.float64]
     imu: Imu  # in the pelvis
     torso_imu: Imu
     base_pos: NDArray[np.float64]  # (3,) m, the base's origin in the world
@@ -160,6 +161,8 @@ class World:
         self._base_pos = self.data.sensor("frame_pos").data
         self._base_lin_vel = self.data.sensor("frame_vel").data
         self._kp, self._kd, self._work, self._control = np.zeros((4, N_JOINTS))
+        self._limit = TORQUE_LIMIT[self._motors]
+        self._applied = np.zeros(len(self._motors))
         self._integrate = partial(mujoco.mj_step2, self.model, self.data)
         self._look = partial(mujoco.mj_step1, self.model, self.data)
         self._support.hold()
@@ -189,13 +192,21 @@ class World:
         """
         before = self.data.time
         self._set_motors(command)
+        # Damping is taken implicitly: with the velocity at the end of a timestep.
+        kd, velocity = self._kd[self._motors], self.data.actuator_velocity
+        force, applied = self.data.actuator_force, self._applied
+        applied[:] = 0.0
         for _ in range(steps):
+            earlier = velocity.copy()
             self._support.hold()
             if self._push:
                 self._push_when_due()
             # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
             self._integrate()
             self._look()
+            applied += force
+            applied -= kd * (velocity - earlier) * (np.abs(force) < self._limit)
+        applied /= steps
         if self.data.time <= before:
             raise SimError(
                 f"The simulation was reset at {before:.3f} s: its state became too large to "
@@ -261,7 +272,7 @@ class World:
             q=self._by_motor(data.actuator_length),
             dq=self._by_motor(data.actuator_velocity),
             ddq=self._by_motor(data.qacc[self._dofs]),
-            tau_est=self._by_motor(data.actuator_force),
+            tau_est=self._by_motor(self._applied),
             imu=self._imu.copy(),
             torso_imu=self._torso_imu.copy(),
             base_pos=self._base_pos.copy(),

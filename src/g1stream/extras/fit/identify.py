@@ -33,7 +33,9 @@ from g1stream.types import Floats, Support
 
 __all__ = ["Fit", "FittedValue", "fit_parameters"]
 
-Kind = Literal["damping", "friction", "armature", "torque_scale", "mass", "command_delay"]
+Kind = Literal[
+    "damping", "friction", "armature", "torque_scale", "mass", "command_delay", "torque_lag"
+]
 
 #: Of a window of the regression, and of one of the judgement, s.
 _WINDOW, _JUDGED = 2.0, 1.0
@@ -46,6 +48,8 @@ _HELD_OUT: Final = 0.2
 #: A session tells a value whose interval reaches this far, as a part of the value or of the default
 #: if that is greater; masses, kg; scales.
 _TOLD, _TOLD_MASS, _TOLD_SCALE = 0.5, 0.5, 0.05
+#: The lag of torques is told to this, s.
+_TOLD_LAG: Final = 2e-3
 #: No interval of a scale is narrower: when in a tick a torque was taken is not known.
 _FINEST_SCALE: Final = 0.005
 _UNITS: Final = {
@@ -55,6 +59,7 @@ _UNITS: Final = {
     "torque_scale": "",
     "mass": "kg",
     "command_delay": "s",
+    "torque_lag": "s",
 }
 #: Least values that a simulation takes.
 _LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
@@ -64,7 +69,8 @@ class FittedValue(Record):
     """A parameter.
 
     Attributes:
-        kind: as the table of a parameters file is called.
+        kind: as the table of a parameters file is called; torque_lag, that of measured torques
+            behind measured positions, is in no file, as it changes nothing that the robot does.
         name: of the joint or the link; empty for the command delay.
         value, low, high: with the ends of its 95 % interval.
         default: without a parameters file.
@@ -82,10 +88,10 @@ class FittedValue(Record):
     @property
     def written(self) -> bool:
         """Whether it goes into a parameters file: it is told, and no mass or scale of no effect."""
-        differs = (
-            self.kind not in ("mass", "torque_scale") or not self.low <= self.default <= self.high
-        )
-        return self.told and differs
+        if self.kind == "torque_lag":
+            return False
+        changes = not self.low <= self.default <= self.high
+        return self.told and (changes or self.kind not in ("mass", "torque_scale"))
 
 
 class Fit(Record):
@@ -252,7 +258,7 @@ def _of_simulation(
             }
             for name, values_of in like.items():
                 sigma = noise_of(sensed[name])
-                like[name] = np.nan_to_num(values_of + sigma * rng.standard_normal(values_of.shape))
+                like[name] = values_of + sigma * rng.standard_normal(values_of.shape)
             movements.append(
                 Movement(like["q"], like["tau"], like["base"], one.period, windows, held)
             )
@@ -267,7 +273,8 @@ def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
     squares, products = [], []
     for one in records:
         asked, known = motor_torque(one, delay)
-        use = known[:, np.newaxis] & (np.abs(asked) > 0.0)
+        # Of a simulation some states are nan.
+        use = known[:, np.newaxis] & (np.abs(asked) > 0.0) & np.isfinite(one.tau)
         x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
         for rows in np.array_split(np.arange(len(x)), max(1, round(one.time[-1] - one.time[0]))):
             squares.append((x[rows] ** 2).sum(axis=0))
@@ -290,7 +297,7 @@ def _parameters(robot: G1, values: Floats, scale: Floats, delay: float) -> Param
     )
     masses = {
         link: float(np.clip(value, -3.0, 5.0))
-        for link, value in zip(LINKS, values[3 * N_JOINTS :], strict=True)
+        for link, value in zip(LINKS, values[3 * N_JOINTS : -1], strict=True)
     }
     return Parameters(
         damping=damping,
@@ -318,6 +325,9 @@ def _fit(
     found = []
     for (kind, name), value, to in zip(names_of(LINKS), values, half, strict=True):
         default = 0.0
+        if kind == "torque_lag":
+            found.append(_value(kind, name, value, to, default, to <= _TOLD_LAG))
+            continue
         if kind != "mass":
             default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
         told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
@@ -443,6 +453,7 @@ def _render(fit: Fit) -> str:
     ]
     delay = fit.find("command_delay")
     told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
+    lag = fit.find("torque_lag")
     return "\n".join(
         [
             labelled(
@@ -452,6 +463,8 @@ def _render(fit: Fit) -> str:
             f"delay   {told if delay.told else 'the sessions do not tell'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
             f"after, {100 * fit.reduction:.0f} % less, of {fit.held_out}",
+            f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
+            f"{1e3 * (lag.value - lag.low):.2f}",
             *(["?       the sessions cannot tell this value"] if untold else []),
             "",
             *table(rows, left=(0,)),

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, sosfiltfilt
 
 from g1stream.analysis.summarise import summarise
@@ -20,8 +22,10 @@ from g1stream.types import Floats, Ints, StreamSupport
 
 __all__ = ["Recorded", "noise_of", "smoothed"]
 
-#: Between two LowStates, beyond which the record is interrupted, ns.
-_GAP: Final = 50_000_000
+#: A longer time between two LowStates, s or periods, interrupts the record.
+_GAP, _GAP_PERIODS = 0.02, 5.0
+#: States are interpolated at even times where this share of their intervals is off by so much.
+_UNEVEN, _OFF = 0.005, 0.2
 #: The robot's own clock counts if its seconds are real ones to this share.
 _CLOCK: Final = 0.5
 #: The attitude and place of a base that is driven along them are smoothed to so many Hz.
@@ -95,6 +99,9 @@ class Recorded:
         for name in columns[:-1]:
             finite &= (np.abs(getattr(measured, name)[order]) < NUMBER).all(axis=1)
         finite &= np.diff(published, prepend=published[:1] - 1) > 0
+        # A simulator may publish a state twice before it goes on.
+        tick = measured.tick[order]
+        finite &= (np.diff(tick, prepend=tick[:1] - 1) != 0) | (not tick.any())
         stream = summarise(session).stream
         support = stream.support if stream else None
         if len(asked):
@@ -117,7 +124,7 @@ class Recorded:
                 for values in (base.position, base.velocity)
             )
         time = _own_time(measured.tick[order], published)
-        return cls(
+        recorded = cls(
             name=session.path.name,
             published=published,
             time=time,
@@ -135,6 +142,35 @@ class Recorded:
             commands=commands,
             support=support,
         )
+        steps = np.diff(time) / recorded.period
+        uneven = np.mean(np.abs(steps - 1.0) > _OFF) > _UNEVEN
+        return recorded._evened() if uneven else recorded
+
+    @property
+    def gap(self) -> float:
+        """A longer time between two states interrupts the record, s."""
+        return max(_GAP, _GAP_PERIODS * self.period)
+
+    def _evened(self) -> Recorded:
+        """The same at even times between gaps: positions by cubics, what else there is by lines."""
+        ends = [0, *(np.flatnonzero(np.diff(self.time) > self.gap) + 1).tolist(), len(self.time)]
+        spans = [(self.time[a], self.time[b - 1]) for a, b in pairwise(ends) if b - a > 1]
+        at = np.concatenate(
+            [
+                first + self.period * np.arange(int((last - first) / self.period) + 1)
+                for first, last in spans
+            ]
+        )
+        changed: Any = {
+            name: _at(at, self.time, values)
+            for name in _OF_STATES[2:]
+            if (values := getattr(self, name)) is not None
+        }
+        changed["q"] = CubicHermiteSpline(self.time, self.q, self.dq)(at)
+        changed["quat_wxyz"] = quat_normalize(changed["quat_wxyz"])
+        first = self.published[0]
+        changed["published"] = first + np.interp(at, self.time, self.published - first).astype(int)
+        return replace(self, time=at, **changed)
 
     def part(self, rows: slice) -> Recorded:
         """Some of the states, with all commands."""
@@ -149,12 +185,13 @@ class Recorded:
         Of more than `most` s, evenly spread ones that are no more.
         """
         every = list(self._windows(length))
-        n = max(1, int(min(most / length, len(every))))
+        total = sum(part.stop - part.start for part in every) * self.period
+        n = max(1, int(len(every) * min(1.0, most / total)))
         return [every[i] for i in np.unique(np.linspace(0, len(every) - 1, n).astype(int))]
 
     def _windows(self, length: float) -> Iterator[slice]:
         n, start = max(1, round(length / self.period)), 0
-        gaps = np.flatnonzero(np.diff(self.published) > _GAP) + 1
+        gaps = np.flatnonzero(np.diff(self.time) > self.gap) + 1
         for end in (*gaps.tolist(), len(self.time)):
             while end - start > 1:
                 stop = min(start + n + 1, end)
@@ -180,7 +217,9 @@ class Recorded:
         return quat, smoothed(self.gyroscope, rate, _BASE_CUTOFF)
 
 
-def _at(instants: Ints, times: Ints, values: Floats) -> Floats:
+def _at(
+    instants: NDArray[np.number[Any]], times: NDArray[np.number[Any]], values: Floats
+) -> Floats:
     """(N, K) values at instants (N,), linearly between those of (R,) times, rising."""
     first = times[0]
     return np.stack(

@@ -5,10 +5,12 @@ are added to links (W. Khalil and E. Dombre, "Modeling, Identification and Contr
 2002, chapter 12):
 
     tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
+          - lag dtau/dt
 
-Velocities and accelerations are those of positions that are low-passed without a phase, and both
-sides of the equation are low-passed alike. What noise, sampling and low-pass do to the estimates is
-not corrected here: `identify` does, by simulation.
+The lag is that of the measured torques behind the measured positions, one for all joints. Left
+out, it would be taken for friction. Velocities and accelerations are those of positions that are
+low-passed without a phase, and both sides of the equation are low-passed alike. What noise,
+sampling and low-pass do to the estimates is not corrected here: `identify` does, by simulation.
 """
 
 from __future__ import annotations
@@ -53,8 +55,8 @@ _STOP: Final = 0.03
 #: A block of equations, s, whose errors are taken for independent of those of others.
 _BLOCK: Final = 1.0
 #: What is known of the parameters beforehand, as a standard deviation of so many times the default,
-#: and of added masses, kg: it decides only where a session tells nothing.
-_PRIOR, _PRIOR_MASS = 5.0, 3.0
+#: of added masses, kg, and of the lag, s: it decides only where a session tells nothing.
+_PRIOR, _PRIOR_MASS, _PRIOR_LAG = 5.0, 3.0, 0.02
 _BASE: Final = 6
 
 
@@ -95,7 +97,7 @@ class Estimate(NamedTuple):
 def names_of(links: Sequence[str]) -> list[tuple[str, str]]:
     """The parameters: their kind, and the joint or link."""
     motors = [(kind, name) for kind in ("damping", "friction", "armature") for name in JOINT_NAMES]
-    return [*motors, *(("mass", link) for link in links)]
+    return [*motors, *(("mass", link) for link in links), ("torque_lag", "")]
 
 
 class Regression:
@@ -134,11 +136,10 @@ class Regression:
         blocks of a second (H. White 1980, by clusters).
         """
         parts = [part for one in movements for part in self._equations(one)]
-        n = 3 * N_JOINTS + len(self.links)
-        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(self.links))])
-        loose = np.concatenate(
-            [_PRIOR * prior[: 3 * N_JOINTS], np.full(len(self.links), _PRIOR_MASS)]
-        )
+        n = 3 * N_JOINTS + len(self.links) + 1
+        shared = np.array([*[_PRIOR_MASS] * len(self.links), _PRIOR_LAG])
+        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(shared))])
+        loose = np.concatenate([_PRIOR * prior[: 3 * N_JOINTS], shared])
         variance = np.ones(N_JOINTS)
         values = prior
         for _ in range(3):
@@ -183,8 +184,12 @@ class Regression:
             )
             free = (q[kept] > self._lower + _STOP) & (q[kept] < self._upper - _STOP)
             used = told & free & (np.abs(dq[kept]) > _STILL)
+            rising = np.gradient(tau, movement.period, axis=0)[kept]
             whole = _Block(
-                tau[kept] - torque, np.stack([dq[kept], dry[kept], ddq[kept]]), masses, used
+                tau[kept] - torque,
+                np.stack([dq[kept], dry[kept], ddq[kept]]),
+                np.concatenate([masses, -rising[np.newaxis]]),
+                used,
             )
             n = max(1, round(len(kept) * step * movement.period / _BLOCK))
             blocks += [whole.rows(rows) for rows in np.array_split(np.arange(len(kept)), n)]
@@ -226,19 +231,19 @@ class Regression:
 
 
 class _Block(NamedTuple):
-    """R equations of each joint: y (R, 29) = x (3, R, 29) times its own + masses (L, R, 29)."""
+    """R equations of each joint: y (R, 29) = own x (3, R, 29) + shared (L, R, 29), times theirs."""
 
     y: Floats
     x: Floats
-    masses: Floats
+    shared: Floats
     used: NDArray[np.bool_]  # (R, 29)
 
     def rows(self, rows: NDArray[np.intp]) -> _Block:
-        return _Block(self.y[rows], self.x[:, rows], self.masses[:, rows], self.used[rows])
+        return _Block(self.y[rows], self.x[:, rows], self.shared[:, rows], self.used[rows])
 
     def normal(self, weight: Floats) -> tuple[Floats, Floats]:
         """The normal matrix (P, P) and right side (P,), with a weight (29,) for each joint."""
-        n_links = len(self.masses)
+        n_links = len(self.shared)
         n = 3 * N_JOINTS + n_links
         matrix, right = np.zeros((n, n)), np.zeros(n)
         last = slice(3 * N_JOINTS, n)
@@ -247,7 +252,7 @@ class _Block(NamedTuple):
             if not used.any():
                 continue
             own = np.arange(3) * N_JOINTS + j
-            x, m = self.x[:, used, j], self.masses[:, used, j]
+            x, m = self.x[:, used, j], self.shared[:, used, j]
             y = self.y[used, j]
             matrix[np.ix_(own, own)] += weight[j] * (x @ x.T)
             cross = weight[j] * (x @ m.T)
@@ -262,6 +267,6 @@ class _Block(NamedTuple):
         """(29,) what the equations leave, squared and summed."""
         own, masses = values[: 3 * N_JOINTS].reshape(3, N_JOINTS), values[3 * N_JOINTS :]
         left = self.y - (self.x * own[:, np.newaxis]).sum(axis=0)
-        left -= np.tensordot(masses, self.masses, axes=1)
+        left -= np.tensordot(masses, self.shared, axes=1)
         total: Floats = (np.where(self.used, left, 0.0) ** 2).sum(axis=0)
         return total

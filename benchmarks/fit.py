@@ -98,6 +98,8 @@ def main() -> None:
     for seed in range(flags.first, flags.first + flags.fits):
         fit, parameters, seconds = run(seed, flags.support, flags.seconds)
         for one in fit.values:
+            if one.kind == "torque_lag":  # the robot is sampled as the simulator is
+                continue
             true = truth(parameters, one)
             right = bool(one.low <= true <= one.high)
             inside.setdefault(one.kind, []).append(right)

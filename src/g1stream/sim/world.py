@@ -79,8 +79,8 @@ class Imu(NamedTuple):
 class WorldState(NamedTuple):
     """What is measured after a physics step, joints in motor order; the arrays are copies.
 
-    Positions, velocities and attitudes are those at `time`; accelerations are those of the timestep
-    that led there, torques the means over the timesteps of the last `World.step`.
+    Positions, velocities and attitudes are those at `time`; accelerations of joints and torques are
+    means over the last `World.step`, what the accelerometers measure is of its last timestep.
     """
 
     time: float  # s of simulated time
@@ -162,7 +162,7 @@ class World:
         self._base_lin_vel = self.data.sensor("frame_vel").data
         self._kp, self._kd, self._work, self._control = np.zeros((4, N_JOINTS))
         self._limit = TORQUE_LIMIT[self._motors]
-        self._applied = np.zeros(len(self._motors))
+        self._applied, self._acceleration = np.zeros((2, len(self._motors)))
         self._integrate = partial(mujoco.mj_step2, self.model, self.data)
         self._look = partial(mujoco.mj_step1, self.model, self.data)
         self._support.hold()
@@ -196,6 +196,7 @@ class World:
         kd, velocity = self._kd[self._motors], self.data.actuator_velocity
         force, applied = self.data.actuator_force, self._applied
         applied[:] = 0.0
+        first = velocity.copy()
         for _ in range(steps):
             earlier = velocity.copy()
             self._support.hold()
@@ -207,6 +208,7 @@ class World:
             applied += force
             applied -= kd * (velocity - earlier) * (np.abs(force) < self._limit)
         applied /= steps
+        self._acceleration = (velocity - first) / (steps * self.timestep)
         if self.data.time <= before:
             raise SimError(
                 f"The simulation was reset at {before:.3f} s: its state became too large to "
@@ -271,7 +273,7 @@ class World:
             time=data.time,
             q=self._by_motor(data.actuator_length),
             dq=self._by_motor(data.actuator_velocity),
-            ddq=self._by_motor(data.qacc[self._dofs]),
+            ddq=self._by_motor(self._acceleration),
             tau_est=self._by_motor(self._applied),
             imu=self._imu.copy(),
             torso_imu=self._torso_imu.copy(),

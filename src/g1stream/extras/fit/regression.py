@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from g1stream.extras.fit.recorded import smoothed
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
-from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats, Support
@@ -120,6 +120,10 @@ class Regression:
             heavier.body_mass[model.body(link).id] += 1.0
             self._models.append(heavier)
         self._data: Any = mujoco.MjData(model)
+        torso = model.body("torso_link").id
+        self._carrier = np.flatnonzero(model.body_weldid == model.body_weldid[torso])
+        weights = model.body_mass[self._carrier]
+        self._share = weights / weights.sum()
         self._lower, self._upper = robot.lower, robot.upper
         self._present = np.flatnonzero(robot.present)
         joints = [model.joint(JOINT_NAMES[j]) for j in self._present]
@@ -164,8 +168,6 @@ class Regression:
         step, margin = max(1, round(rate / _ROWS)), round(_MARGIN * rate)
         told = np.zeros(N_JOINTS, dtype=bool)
         told[self._present] = True
-        if movement.support != "bolted":  # the force at the torso goes through the waist
-            told[list(JOINT_GROUPS["waist"])] = False
         blocks = []
         for part in movement.windows:
             if part.stop - part.start < 4 * margin:
@@ -198,10 +200,14 @@ class Regression:
     def _inverse(
         self, q: Floats, dq: Floats, ddq: Floats, base: Floats, turning: Floats, support: Support
     ) -> tuple[Floats, Floats]:
-        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg at each link."""
+        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg at each link.
+
+        What carries a robot that hangs acts at the torso's mass centre, as in the feed-forward: its
+        force is that on the six rows of the base.
+        """
         mujoco, data = self._mujoco, self._data
         found = np.zeros((len(self._models), len(q), N_JOINTS))
-        result = np.empty(self._models[0].nv)
+        result, jacobian = np.empty(self._models[0].nv), np.zeros((3, self._models[0].nv))
         quat = base[:, :4] / np.linalg.norm(base[:, :4], axis=1, keepdims=True)
         bolted = support == "bolted"
         acc = np.zeros((len(q), _BASE))
@@ -226,6 +232,10 @@ class Regression:
                 mujoco.mj_comPos(model, data)
                 mujoco.mj_comVel(model, data)
                 mujoco.mj_rne(model, data, 1, result)
+                if support == "hanging":
+                    centre = self._share @ data.xipos[self._carrier]
+                    mujoco.mj_jac(model, data, jacobian, None, centre, self._carrier[0])
+                    result -= result[:3] @ jacobian
                 found[number, k, self._present] = result[self._dofs]
         return found[0], found[1:] - found[0]
 

@@ -95,7 +95,7 @@ def run_table(
                     if row in SCRIPTS:
                         run = _script(motion, seconds, SCRIPTS[row])
                     else:
-                        run = _stream(motion, seconds, [*STREAMS[row], *flags], path)
+                        run = stream_on_peer(motion, seconds, [*STREAMS[row], *flags], path)
                 table.setdefault(row, {}).setdefault(simulator, []).append(run)
                 print(f"{simulator}, {row}: {_shown(run)}", flush=True, file=sys.stderr)
     return table
@@ -126,12 +126,12 @@ def _shown(run: Run) -> str:
 
 
 @contextmanager
-def running(program: str) -> Iterator[None]:
-    """A simulator of its own, while nobody else uses the folder."""
+def running(program: str, *arguments: str) -> Iterator[None]:
+    """A simulator of its own, while nobody else uses the folder; arguments go to it."""
     with Path(f"{PEERS}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         # The lock is not inherited: descriptors of Python are closed in child processes.
-        subprocess.run([PEERS / f"start_{program}.sh"], check=True, stdout=sys.stderr)
+        subprocess.run([PEERS / f"start_{program}.sh", *arguments], check=True, stdout=sys.stderr)
         pid = int((PEERS / f"{program}.pid").read_text())
         try:
             time.sleep(_SETTLE)
@@ -179,7 +179,7 @@ def _script(motion: Path, seconds: float, rate: int) -> Run:
     return Run(rmse) if np.isfinite(rmse) else Run(None, "NaN: the simulation exploded")
 
 
-def _stream(motion: Path, seconds: float, flags: list[str], path: Path) -> Run:
+def stream_on_peer(motion: Path, seconds: float, flags: list[str], path: Path) -> Run:
     command = [sys.executable, "-m", "g1stream", "stream", str(motion), "--json"]
     text, failure = _run([*command, "--duration", str(seconds), "--record", path, *flags], seconds)
     if failure:

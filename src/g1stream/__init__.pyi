@@ -22,6 +22,11 @@ from g1stream.config import load_config as load_config
 from g1stream.dds.messages import LowState as LowState
 from g1stream.dds.messages import Samples as Samples
 from g1stream.errors import G1StreamError as G1StreamError
+from g1stream.extras.fit.excite import exciting_motion as exciting_motion
+from g1stream.extras.fit.gap import Gap as Gap
+from g1stream.extras.fit.gap import gap as gap
+from g1stream.extras.fit.identify import Fit as Fit
+from g1stream.extras.fit.identify import fit_parameters as fit_parameters
 from g1stream.extras.library.compute import LibraryCase as LibraryCase
 from g1stream.extras.library.run import LibraryRun as LibraryRun
 from g1stream.extras.library.run import run_library as run_library

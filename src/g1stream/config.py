@@ -253,7 +253,8 @@ class StreamConfig(Table):
     preview: float | None = setting(
         None,
         "commands are ahead of the motion by this, as they act a little later; if unset, one "
-        "period of them for g1stream's own simulator, and 0 otherwise",
+        "period of them for g1stream's own simulator, and 0 otherwise, with the command delay of "
+        "params added",
         "s",
         example=0.002,
         ge=0.0,

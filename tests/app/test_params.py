@@ -75,7 +75,7 @@ def test_the_session_has_them(rollouts):
 
 
 def test_the_feed_forward_has_them(rollouts):
-    """Of the same robot, the delay left aside, a stream that knows its parameters is closer."""
+    """Of the same robot, a stream that knows its parameters is closer, and not late."""
     path, session = rollouts
     knows = session.summary().tracking.all_joints
     config = load_config(
@@ -83,7 +83,8 @@ def test_the_feed_forward_has_them(rollouts):
     )
     without = g1stream.rollout("demo", config=config, seconds=2.0).summary().tracking.all_joints
     assert knows.rmse_rad < 0.2 * without.rmse_rad
-    assert knows.delay_s == pytest.approx(0.006, abs=0.002)
+    assert knows.delay_s == pytest.approx(0.0, abs=0.001)  # commands are earlier by it
+    assert session.summary().stream.preview_s == pytest.approx(0.008)
 
 
 def test_parameters_of_another_robot_are_refused(params):

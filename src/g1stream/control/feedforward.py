@@ -52,11 +52,13 @@ class FeedForward:
         limit: (29,) N·m, the largest torque in either direction; 0 for joints that get none.
         period: s between commands.
         preview: s by which the target of a command is ahead of its publish time, because it takes
-            effect later; None: a period for a bridge that announces its support, otherwise 0.
+            effect later; None: a period for a bridge that announces its support, otherwise 0, and
+            the delay.
         time_scale: simulated over real time; None: it is measured.
         onboard: the robot's own controller carries it, and only arms and waist are commanded. Their
             torque is that of a pelvis at rest in the attitude that the IMU measures, whatever the
             legs do.
+        delay: s from when a command is received to when the motors obey it, as far as is known.
         torque_scale: (29,) torque that the motors apply over that which commands ask for; asked
             for is the torque of the source divided by it.
 
@@ -81,6 +83,7 @@ class FeedForward:
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
         onboard: bool = False,
+        delay: float = 0.0,
         torque_scale: Floats | float = 1.0,
     ) -> None:
         self.kind: FeedForwardKind | None = None
@@ -93,7 +96,7 @@ class FeedForward:
         self._asked, self._told_support, self._torques = kind, support, source
         self._told_preview, self._told_scale = preview, time_scale or 1.0
         self._onboard = onboard
-        self._torque_scale = torque_scale
+        self._delay, self._torque_scale = delay, torque_scale
         self._limit = limit
         self._period = period
         self._weight = 1.0  # of the torque, 0 while faded out
@@ -118,7 +121,7 @@ class FeedForward:
         # Our bridge's servo runs at the rate of commands: it reads one half a period after it
         # arrived on average, and holds it for a whole one. unitree_mujoco's bridges run at another
         # rate or on the arrival of a command, with measurements that are older by a step.
-        usual = 0.0 if announced is None else self._period
+        usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
         self.kind, self.support = self._asked, self._told_support
         if self._onboard:

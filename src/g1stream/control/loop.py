@@ -431,6 +431,7 @@ def make_loop(
         preview=settings.preview,
         time_scale=settings.time_scale,
         onboard=settings.via == "arm_sdk",
+        delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
     delay = None if plan.topic is ARM_SDK else CommandDelay(balanced=source.needed)

@@ -171,7 +171,9 @@ def robot_of(session: Session, name: Path | str | None = None, params: Path | No
         robot = G1.load(name, params=params)
         if name is not None or robot.parameters.robot:
             return robot
-    stream = session.summary().stream
+    summary = session.summary()
+    # A rollout simulated the robot whose URDF it has, whichever one its feed-forward took it for.
+    stream = None if summary.simulated else summary.stream
     known = stream.robot if stream and stream.robot in (*REVISIONS, *VARIANTS) else None
     return G1.load(known, params=params) if known or params else session.robot
 

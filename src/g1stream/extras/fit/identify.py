@@ -15,15 +15,17 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from g1stream.app.session import Session, open_session
 from g1stream.errors import RecordingError
 from g1stream.extras.fit.gap import compare, motor_torque, robot_of, torque_delay
 from g1stream.extras.fit.recorded import Recorded, noise_of
-from g1stream.extras.fit.regression import LINKS, Estimate, Movement, Regression, names_of
+from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
 from g1stream.extras.fit.simulation import simulate_commands, world_support
 from g1stream.files import complete_file
+from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.parameters import NOMINAL, Parameters
@@ -34,20 +36,33 @@ from g1stream.types import Floats, Support
 __all__ = ["Fit", "FittedValue", "fit_parameters"]
 
 Kind = Literal[
-    "damping", "friction", "armature", "torque_scale", "mass", "command_delay", "torque_lag"
+    "damping",
+    "friction",
+    "armature",
+    "torque_scale",
+    "mass",
+    "com_x",
+    "com_y",
+    "com_z",
+    "command_delay",
+    "torque_lag",
 ]
 
 #: Of a window of the regression, and of one of the judgement, s.
 _WINDOW, _JUDGED = 2.0, 1.0
 #: Of long sessions, windows of so many s together are fitted, and judged.
 _MOST, _MOST_JUDGED = 60.0, 30.0
-#: Simulations with better and better parameters, and draws of noise for each.
-_ROUNDS, _DRAWS = 3, 4
+#: Simulations with better and better parameters, more of them where a centre of mass is elsewhere,
+#: and draws of noise for the last one.
+_ROUNDS, _MORE_ROUNDS, _DRAWS = 3, 2, 4
 #: Of a session that is the only one, what the judgement is made with.
 _HELD_OUT: Final = 0.2
 #: A session tells a value whose interval reaches this far, as a part of the value or of the default
-#: if that is greater; masses, kg; scales.
-_TOLD, _TOLD_MASS, _TOLD_SCALE = 0.5, 0.5, 0.05
+#: if that is greater; masses, kg; centres of mass, m; scales.
+_TOLD, _TOLD_MASS, _TOLD_COM, _TOLD_SCALE = 0.5, 0.5, 0.02, 0.05
+#: A centre of mass is fitted where it explains more than chance does, by this probability, and is
+#: shifted by so much, m. Else a mass explains the same.
+_CHANCE, _SHIFTED = 0.999, 0.004
 #: The lag of torques is told to this, s.
 _TOLD_LAG: Final = 2e-3
 #: No interval of a scale is narrower: when in a tick a torque was taken is not known.
@@ -58,11 +73,14 @@ _UNITS: Final = {
     "armature": "kg·m²",
     "torque_scale": "",
     "mass": "kg",
+    "com": "m",
     "command_delay": "s",
     "torque_lag": "s",
 }
 #: Least values that a simulation takes.
 _LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
+#: Most by which a mass, kg, and a centre of mass, m, differ in a simulation; a link keeps a half.
+_MOST_MASS, _MOST_SHIFT, _KEPT = 5.0, 0.2, 0.5
 
 
 class FittedValue(Record):
@@ -71,6 +89,7 @@ class FittedValue(Record):
     Attributes:
         kind: as the table of a parameters file is called; torque_lag, that of measured torques
             behind measured positions, is in no file, as it changes nothing that the robot does.
+            com_x, com_y and com_z are the parts of com.
         name: of the joint or the link; empty for the command delay.
         value, low, high: with the ends of its 95 % interval.
         default: without a parameters file.
@@ -91,7 +110,7 @@ class FittedValue(Record):
         if self.kind == "torque_lag":
             return False
         changes = not self.low <= self.default <= self.high
-        return self.told and (changes or self.kind not in ("mass", "torque_scale"))
+        return self.told and (changes or self.kind in ("command_delay", *_LEAST))
 
 
 class Fit(Record):
@@ -171,7 +190,10 @@ def fit_parameters(
     else:
         other = hold_out if isinstance(hold_out, Session) else open_session(hold_out)
         fitted, judged = records, [Recorded.of(other)]
-    regression = Regression(robot, LINKS)
+    # Where exactly the band acts on the torso of a robot that hangs is not known, so not its mass.
+    links = [link for link in LINKS if "hanging" not in held or link != "torso_link"]
+    masses = [("mass", link) for link in links]
+    regression = Regression(robot, masses)
     data = list(zip(fitted, held, strict=False))
     measured = [_measured(one, how, _MOST / len(data)) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
@@ -184,17 +206,37 @@ def fit_parameters(
     delay = float(np.median(delays)) if delays else 0.0
     aim_scale, scale_spread = _scales(fitted, delay)
     values, scale = aim.values, aim_scale
-    for number in range(_ROUNDS):
-        changed = replace(robot, parameters=_parameters(robot, values, scale, delay))
-        found, found_scale = _of_simulation(data, changed, regression, delay, number)
+    rounds, number = _ROUNDS, 0
+    while number < rounds:
+        names = names_of(regression.added)
+        changed = replace(robot, parameters=_parameters(robot, names, values, scale, delay))
+        simulation = _Simulation(data, changed)
+        draws = _DRAWS if number == rounds - 1 else 1
+        found, found_scale = simulation.estimate(regression, delay, draws)
         values = values + aim.values - found
         scale = scale + aim_scale - found_scale
-        progress((number + 1) / (_ROUNDS + 1))
-    fit = _fit(robot, aim, values, scale, scale_spread, delay if delays else None, fitted, held[0])
+        if number == 0 and (moved := _moved_links(robot, links, measured, simulation, delay)):
+            shifts = [(axis, link) for link in moved for axis in AXES]
+            regression = Regression(robot, [*masses, *shifts])
+            aim = regression.estimate(measured)
+            values = np.insert(values, len(values) - 1, np.zeros(len(shifts)))
+            rounds += _MORE_ROUNDS
+        number += 1
+        progress(number / (rounds + 1))
+    fit = _fit(
+        robot,
+        aim._replace(values=values),
+        names_of(regression.added),
+        scale,
+        scale_spread,
+        delay if delays else None,
+        fitted,
+        held[0],
+    )
     fit.sessions = [one.name for one in records]
     fit.held_out = judged[0].name if hold_out is not None else "the last 20 %"
-    fit.gap_before_rad = _gap(judged, held, robot)
-    fit.gap_after_rad = _gap(judged, held, replace(robot, parameters=_written(fit)))
+    fit.gap_before_rad = _gap(judged, support, robot)
+    fit.gap_after_rad = _gap(judged, support, replace(robot, parameters=_written(fit)))
     progress(1.0)
     return fit
 
@@ -224,48 +266,72 @@ def _windows(recorded: Recorded, most: float) -> list[slice]:
 
 
 def _measured(recorded: Recorded, support: Support, most: float) -> Movement:
-    base = np.concatenate([recorded.quat_wxyz, recorded.gyroscope, recorded.accelerometer], axis=1)
     windows = _windows(recorded, most)
+    base = _base(recorded)
     return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
 
 
-def _of_simulation(
-    data: Sequence[tuple[Recorded, Support]],
+def _base(recorded: Recorded) -> Floats:
+    """(N, 10) of the IMU in the pelvis."""
+    return np.concatenate([recorded.quat_wxyz, recorded.gyroscope, recorded.accelerometer], axis=1)
+
+
+class _Simulation:
+    """The sessions, simulated with some parameters, to be estimated as the measured ones are."""
+
+    def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1) -> None:
+        most = _MOST / len(data)
+        self._data = data
+        self._windows = [_windows(one, most) for one, _ in data]
+        self._runs = [
+            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False, most=most)
+            for one, held in data
+        ]
+
+    def estimate(self, regression: Regression, delay: float, draws: int) -> tuple[Floats, Floats]:
+        """The estimate (P,) and the torque scales (29,), means over draws of the sensor noise."""
+        rng = np.random.default_rng(draws)
+        values, scales = [], []
+        for _ in range(draws):
+            movements, noisy = [], []
+            for (one, held), run, windows in zip(
+                self._data, self._runs, self._windows, strict=True
+            ):
+                sensed = (one.q, one.dq, one.tau, _base(one))
+                q, dq, tau, base = (
+                    clean + noise_of(alike) * rng.standard_normal(clean.shape)
+                    for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
+                )
+                movements.append(Movement(q, tau, base, one.period, windows, held))
+                noisy.append(replace(one, q=q, dq=dq, tau=tau))
+            values.append(regression.estimate(movements).values)
+            scales.append(_scales(noisy, delay)[0])
+        return np.mean(values, axis=0), np.mean(scales, axis=0)
+
+
+def _moved_links(
     robot: G1,
-    regression: Regression,
+    links: Sequence[str],
+    measured: Sequence[Movement],
+    simulation: _Simulation,
     delay: float,
-    seed: int,
-) -> tuple[Floats, Floats]:
-    """The estimate (P,) and the torque scales (29,) of the simulated sessions: means over draws."""
-    rng = np.random.default_rng(seed)
-    runs = [
-        simulate_commands(
-            one, robot, support=held, window=_WINDOW, repeats=False, most=_MOST / len(data)
-        )
-        for one, held in data
-    ]
-    values, scales = [], []
-    for _ in range(_DRAWS):
-        movements, noisy = [], []
-        for (one, held), run in zip(data, runs, strict=True):
-            windows = _windows(one, _MOST / len(data))
-            like = {"q": run.q, "dq": run.dq, "tau": run.tau, "base": run.base}
-            sensed = {
-                "q": one.q,
-                "dq": one.dq,
-                "tau": one.tau,
-                "base": np.concatenate([one.quat_wxyz, one.gyroscope, one.accelerometer], axis=1),
-            }
-            for name, values_of in like.items():
-                sigma = noise_of(sensed[name])
-                like[name] = values_of + sigma * rng.standard_normal(values_of.shape)
-            movements.append(
-                Movement(like["q"], like["tau"], like["base"], one.period, windows, held)
-            )
-            noisy.append(replace(one, q=like["q"], dq=like["dq"], tau=like["tau"]))
-        values.append(regression.estimate(movements).values)
-        scales.append(_scales(noisy, delay)[0])
-    return np.mean(values, axis=0), np.mean(scales, axis=0)
+) -> list[str]:
+    """The links whose centre of mass is elsewhere: a mass at the known one does not explain all."""
+    added = [("mass", link) for link in links]
+    regression = Regression(robot, [*added, *((axis, link) for link in links for axis in AXES)])
+    aim = regression.estimate(measured)
+    found, _ = simulation.estimate(regression, delay, 1)
+    names, moved = names_of(regression.added), []
+    least = 3.0 * float(fisher.ppf(_CHANCE, 3, max(2, aim.blocks - 4)))
+    for link in links:
+        at = [names.index((axis, link)) for axis in AXES]
+        shift = (aim.values - found)[at]
+        # The simulation has noise of its own.
+        covariance = 2.0 * aim.covariance[np.ix_(at, at)]
+        distance = float(shift @ np.linalg.solve(covariance, shift))
+        if distance > least and np.abs(shift).max() > _SHIFTED:
+            moved.append(link)
+    return moved
 
 
 def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
@@ -289,16 +355,23 @@ def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
     return scale, variance
 
 
-def _parameters(robot: G1, values: Floats, scale: Floats, delay: float) -> Parameters:
+def _parameters(
+    robot: G1, names: Sequence[tuple[str, str]], values: Floats, scale: Floats, delay: float
+) -> Parameters:
     """Those of a simulation."""
     damping, friction, armature = (
         np.maximum(part, _LEAST[kind])
         for kind, part in zip(_LEAST, values[: 3 * N_JOINTS].reshape(3, N_JOINTS), strict=True)
     )
-    masses = {
-        link: float(np.clip(value, -3.0, 5.0))
-        for link, value in zip(LINKS, values[3 * N_JOINTS : -1], strict=True)
-    }
+    model, masses = compiled_dynamics(robot, GRAVITY), dict[str, float]()
+    centres: dict[str, Floats] = {}
+    for (kind, link), value in zip(names, values.tolist(), strict=True):
+        if kind == "mass":
+            own = float(model.body(link).mass[0])
+            masses[link] = min(max(value, -_KEPT * own), _MOST_MASS)
+        elif kind in AXES:
+            at = centres.setdefault(link, np.zeros(3))
+            at[AXES.index(kind)] = min(max(value, -_MOST_SHIFT), _MOST_SHIFT)
     return Parameters(
         damping=damping,
         friction=friction,
@@ -306,13 +379,14 @@ def _parameters(robot: G1, values: Floats, scale: Floats, delay: float) -> Param
         torque_scale=np.clip(scale, 0.2, 2.0),
         command_delay=delay,
         mass=masses,
+        com=centres,
     )
 
 
 def _fit(
     robot: G1,
     aim: Estimate,
-    values: Floats,
+    names: Sequence[tuple[str, str]],
     scale: Floats,
     scale_variance: Floats,
     delay: float | None,
@@ -323,14 +397,22 @@ def _fit(
     reach = float(student.ppf(0.975, max(2, aim.blocks - 4))) * np.sqrt(1.0 + 1.0 / _DRAWS)
     half = reach * np.sqrt(np.diag(aim.covariance))
     found = []
-    for (kind, name), value, to in zip(names_of(LINKS), values, half, strict=True):
+    for (kind, name), value, to in zip(names, aim.values.tolist(), half, strict=True):
         default = 0.0
         if kind == "torque_lag":
             found.append(_value(kind, name, value, to, default, to <= _TOLD_LAG))
             continue
+        if kind in AXES:
+            found.append(_value(kind, name, value, to, default, to <= _TOLD_COM))
+            continue
         if kind != "mass":
             default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
         told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
+        if kind == "mass":  # one that leaves the link next to nothing stands for something else
+            own = float(compiled_dynamics(robot, GRAVITY).body(name).mass[0])
+            told = told and value > -_KEPT * own
+        elif value + to < 0.0:  # no motor has such friction or inertia
+            told = False
         if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
             continue
         found.append(_value(kind, name, value, to, default, told))
@@ -373,27 +455,30 @@ def _written(fit: Fit) -> Parameters:
         for kind in ("damping", "friction", "armature", "torque_scale")
     }
     masses, delay = {}, 0.0
+    centres: dict[str, Floats] = {}
     for one in fit.values:
         if not one.written:
             continue
         if one.kind == "mass":
             masses[one.name] = one.value
+        elif one.kind in AXES:
+            centres.setdefault(one.name, np.zeros(3))[AXES.index(one.kind)] = one.value
         elif one.kind == "command_delay":
             delay = one.value
         else:
             arrays[one.kind][JOINT_NAMES.index(one.name)] = max(
                 one.value, _LEAST.get(one.kind, 0.2)
             )
-    return Parameters(**arrays, mass=masses, command_delay=delay)
+    return Parameters(**arrays, mass=masses, com=centres, command_delay=delay)
 
 
-def _gap(records: Sequence[Recorded], held: Sequence[Support], robot: G1) -> float:
+def _gap(records: Sequence[Recorded], support: str | None, robot: G1) -> float:
     """RMS over all joints and sessions, without noise."""
     squares = []
-    for number, one in enumerate(records):
-        support = held[min(number, len(held) - 1)]
+    for one in records:
+        held = world_support(one, support)
         simulated = simulate_commands(
-            one, robot, support=support, window=_JUDGED, most=_MOST_JUDGED / len(records)
+            one, robot, support=held, window=_JUDGED, most=_MOST_JUDGED / len(records)
         )
         squares.append(compare(one, simulated, robot, _JUDGED).q_rad ** 2)
     return float(np.sqrt(np.mean(squares)))
@@ -412,6 +497,9 @@ def _toml(fit: Fit) -> str:
         if kind == "command_delay":
             lines += [f"command_delay = {one.value:.4f}  {_interval(one, unit)}" for one in told]
             continue
+        if kind == "com" and (centres := _written(fit).com):
+            lines += ["", "[com]"]
+            lines += [f"{link} = {np.round(at, 4).tolist()}" for link, at in centres.items()]
         if told:
             lines += ["", f"[{kind}]"]
         for one in told:
@@ -451,6 +539,11 @@ def _render(fit: Fit) -> str:
         )
         for one in masses
     ]
+    for one in fit.values:
+        if one.kind in AXES:
+            what = f"{one.name.removesuffix('_link')} {one.kind.replace('_', ' ')}, m"
+            shift = f"{one.value:+.4f}" if one.told else "?"
+            added.append((what, shift, f"{one.value - one.low:.4f}"))
     delay = fit.find("command_delay")
     told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
     lag = fit.find("torque_lag")

@@ -29,7 +29,7 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats, Support
 
-__all__ = ["LINKS", "Estimate", "Movement", "Regression", "names_of"]
+__all__ = ["AXES", "LINKS", "Estimate", "Movement", "Regression", "names_of"]
 
 LINKS: Final = (
     "torso_link",
@@ -41,6 +41,9 @@ LINKS: Final = (
 )
 """The links to which masses are added, those of what people mount: trunk, thighs, shanks, feet,
 upper arms, forearms and hands."""
+
+AXES: Final = ("com_x", "com_y", "com_z")
+"""The parameters of a centre of mass: by how much it is shifted, m, in the link's frame."""
 
 _CUTOFF: Final = 10.0
 """Of the low-pass, Hz."""
@@ -55,8 +58,10 @@ _STOP: Final = 0.03
 #: A block of equations, s, whose errors are taken for independent of those of others.
 _BLOCK: Final = 1.0
 #: What is known of the parameters beforehand, as a standard deviation of so many times the default,
-#: of added masses, kg, and of the lag, s: it decides only where a session tells nothing.
-_PRIOR, _PRIOR_MASS, _PRIOR_LAG = 5.0, 3.0, 0.02
+#: of added masses, kg, shifts, m, and of the lag, s: it decides only where a session tells nothing.
+_PRIOR, _PRIOR_MASS, _PRIOR_COM, _PRIOR_LAG = 5.0, 3.0, 0.05, 0.02
+#: By how much a centre of mass is shifted for its equations, m.
+_SHIFT: Final = 0.01
 _BASE: Final = 6
 
 
@@ -94,10 +99,10 @@ class Estimate(NamedTuple):
     blocks: int
 
 
-def names_of(links: Sequence[str]) -> list[tuple[str, str]]:
-    """The parameters: their kind, and the joint or link."""
+def names_of(added: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """All parameters: their kind, and the joint or link."""
     motors = [(kind, name) for kind in ("damping", "friction", "armature") for name in JOINT_NAMES]
-    return [*motors, *(("mass", link) for link in links), ("torque_lag", "")]
+    return [*motors, *added, ("torque_lag", "")]
 
 
 class Regression:
@@ -105,20 +110,25 @@ class Regression:
 
     Args:
         robot: without parameters.
-        links: to which a mass is added.
+        added: parameters of links: `mass` or one of `AXES`, and the link.
     """
 
-    def __init__(self, robot: G1, links: Sequence[str]) -> None:
+    def __init__(self, robot: G1, added: Sequence[tuple[str, str]]) -> None:
         import mujoco
 
-        self.links = tuple(links)
+        self.added = tuple(added)
         self._mujoco: Any = mujoco
         model = compiled_dynamics(robot, GRAVITY)
         self._models = [model]
-        for link in links:
-            heavier = copy(model)
-            heavier.body_mass[model.body(link).id] += 1.0
-            self._models.append(heavier)
+        for kind, link in added:
+            other, body = copy(model), model.body(link).id
+            if kind == "mass":
+                other.body_mass[body] += 1.0
+            else:
+                other.body_ipos[body, AXES.index(kind)] += _SHIFT
+            self._models.append(other)
+        steps = [1.0 if kind == "mass" else _SHIFT for kind, _ in added]
+        self._steps = np.array(steps).reshape(-1, 1, 1)
         self._data: Any = mujoco.MjData(model)
         torso = model.body("torso_link").id
         self._carrier = np.flatnonzero(model.body_weldid == model.body_weldid[torso])
@@ -140,8 +150,9 @@ class Regression:
         blocks of a second (H. White 1980, by clusters).
         """
         parts = [part for one in movements for part in self._equations(one)]
-        n = 3 * N_JOINTS + len(self.links) + 1
-        shared = np.array([*[_PRIOR_MASS] * len(self.links), _PRIOR_LAG])
+        n = 3 * N_JOINTS + len(self.added) + 1
+        of_links = (_PRIOR_MASS if kind == "mass" else _PRIOR_COM for kind, _ in self.added)
+        shared = np.array([*of_links, _PRIOR_LAG])
         prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(shared))])
         loose = np.concatenate([_PRIOR * prior[: 3 * N_JOINTS], shared])
         variance = np.ones(N_JOINTS)
@@ -200,7 +211,7 @@ class Regression:
     def _inverse(
         self, q: Floats, dq: Floats, ddq: Floats, base: Floats, turning: Floats, support: Support
     ) -> tuple[Floats, Floats]:
-        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg at each link.
+        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg or m of each `added`.
 
         What carries a robot that hangs acts at the torso's mass centre, as in the feed-forward: its
         force is that on the six rows of the base.
@@ -237,7 +248,7 @@ class Regression:
                     mujoco.mj_jac(model, data, jacobian, None, centre, self._carrier[0])
                     result -= result[:3] @ jacobian
                 found[number, k, self._present] = result[self._dofs]
-        return found[0], found[1:] - found[0]
+        return found[0], (found[1:] - found[0]) / self._steps
 
 
 class _Block(NamedTuple):

@@ -7,8 +7,8 @@ to 3 times the default, armature 0.5 to 2 times, commands 2 to 12 ms late, and 1
 It plays the motion of `fit --motion-out` and another one, in lockstep and with sensor noise
 (`sim.noise` 1), under a feed-forward that knows nothing of them. The other session is held out.
 Printed are the parameters whose true value is inside the 95 % interval, of all and of those that
-`fit` says it can tell, by kind; by how much the held-out gap shrinks; and how fast `simulate` is, in
-CPU time.
+`fit` says it can tell, by kind; by how much the held-out gap shrinks; and how fast `simulate` is,
+in CPU time.
 """
 
 from __future__ import annotations

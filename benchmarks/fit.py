@@ -83,7 +83,7 @@ def run(seed: int, support: Any, seconds: float) -> tuple[Fit, Parameters, float
     fit = fit_parameters([session], hold_out=other)
     spent = time.process_time() - begun
     begun = time.process_time()
-    simulated = gap(other).simulated_s
+    simulated = gap(session).simulated_s
     return fit, parameters, spent, simulated / (time.process_time() - begun)
 
 

@@ -22,7 +22,7 @@ from g1stream.robot.dynamics import GRAVITY, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
 from g1stream.session.format import CHANNELS
-from g1stream.session.records import ParametersInfo, Record
+from g1stream.session.records import ParametersInfo, Record, StreamSummary, read_record
 from g1stream.session.source import MemorySource
 from g1stream.text import labelled, table
 from g1stream.types import Floats
@@ -171,9 +171,10 @@ def robot_of(session: Session, name: Path | str | None = None, params: Path | No
         robot = G1.load(name, params=params)
         if name is not None or robot.parameters.robot:
             return robot
-    summary = session.summary()
-    # A rollout simulated the robot whose URDF it has, whichever one its feed-forward took it for.
-    stream = None if summary.simulated else summary.stream
+    stream, _ = read_record(StreamSummary, session.metadata.get("stream"), "stream")
+    if str(session.metadata.get("log_clock", "")).startswith("simulated"):
+        # A rollout has the URDF of its robot, whichever one its feed-forward took it for.
+        stream = None
     known = stream.robot if stream and stream.robot in (*REVISIONS, *VARIANTS) else None
     return G1.load(known, params=params) if known or params else session.robot
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, sosfiltfilt
 
-from g1stream.analysis.summarise import summarise
 from g1stream.errors import RecordingError
 from g1stream.input_limits import NUMBER
 from g1stream.robot.rotations import quat_normalize
 from g1stream.session.recording import Recording
+from g1stream.session.records import StreamSummary, read_record
 from g1stream.session.streams import CommandStream, MeasuredStream
 from g1stream.types import Floats, Ints, StreamSupport
 
@@ -102,7 +102,7 @@ class Recorded:
         # A simulator may publish a state twice before it goes on.
         tick = measured.tick[order]
         finite &= (np.diff(tick, prepend=tick[:1] - 1) != 0) | (not tick.any())
-        stream = summarise(session).stream
+        stream, _ = read_record(StreamSummary, session.metadata.get("stream"), "stream")
         support = stream.support if stream else None
         if len(asked):
             first, last = command.published[asked[[0, -1]]]

@@ -25,7 +25,7 @@ _SIDE: Final = 12
 #: Noise below which a window begins with the measured state itself, rad and rad/s.
 _CLEAN: Final = (2e-6, 2e-4)
 #: So many windows are simulated again from another state within the noise, and one in so many.
-_REPEATED, _ONE_IN = 4, 4
+_REPEATED, _ONE_IN = 4, 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,6 +70,8 @@ def truth(parameters: Parameters, one: FittedValue) -> float:
         return parameters.command_delay
     if one.kind == "mass":
         return parameters.mass.get(one.name, 0.0)
+    if one.kind.startswith("com_"):
+        return 0.0
     return float(getattr(parameters, one.kind)[JOINT_NAMES.index(one.name)])
 
 

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from g1stream.errors import RobotError
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot import dynamics as module
 from g1stream.robot.dynamics import (
     BaseMotion,
     InverseDynamics,

@@ -134,7 +134,9 @@ def find_plays(
     found = [play for signal in signals for play in _search(signal, trajectory, any_speed)]
     plays = sorted(_distinct(filter(_is_play, found)), key=lambda play: play.span)
     best = max(plays, key=lambda play: play.explained, default=None)
-    others = (one for one in found if one not in plays and (not best or _overlap(one, best)))
+    others = found
+    if best:  # one that has converged less well is no other place
+        others = [one for one in found if _overlap(one, best) and not _is_same(one, best)]
     rival = max(others, key=lambda one: one.explained, default=None)
     ambiguous = bool(best and rival and rival.explained >= _RIVAL * best.explained)
     return Alignment(tuple(plays), best, rival, ambiguous)

@@ -212,6 +212,13 @@ def _recorded(session: Recording) -> Iterator[Recorded]:
         "arm commands": ArmCommandStream,
         "measured joints": MeasuredStream,
     }
+    session.read(  # in one pass
+        {
+            CommandStream: ("q", "kp"),
+            ArmCommandStream: ("q", "kp"),
+            MeasuredStream: ("q", "imu_quat_wxyz"),
+        }
+    )
     for by, kind in kinds.items():
         if not session.topics.get(kind.topic):
             continue

@@ -161,8 +161,8 @@ def test_only_the_topics_of_dds_are_read(play, write_session, take):
     path = write_session(reference, measured, METADATA, derived={"/tf": take(reference, [0, 9])})
     session = open_session(path)
     read = []
-    batches = session._source.batches
-    session._source.batches = lambda topics: read.append(topics) or batches(topics)
+    batches = session.source.batches
+    session.source.batches = lambda topics: read.append(topics) or batches(topics)
     stats = session.summary().topics["/tf"]
     assert (stats.count, stats.rate_hz, stats.latency_us) == (2, None, None)
     assert set().union(*read) == {"/log", "/lowcmd", "/lowstate", "/reference"}

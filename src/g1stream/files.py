@@ -226,10 +226,10 @@ def complete_directory(path: Path, names: Collection[str], *, force: bool) -> It
     Raises:
         RecordingError: the path is taken, or cannot be written.
     """
+    if not path.name or path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise RecordingError(f"{path} is no directory to be made.", "Name a new one in it.")
     with output_errors(path):
         check_directory(path.parent)
-        if path.is_symlink() or (path.exists() and not path.is_dir()):
-            raise NotADirectoryError(errno.ENOTDIR, f"{path} is not a directory")
         if path.exists():
             if not force:
                 raise FileExistsError

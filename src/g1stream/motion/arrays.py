@@ -126,6 +126,7 @@ _SONIC_TABLES: Final = {
 SONIC_FILES: Final = (*(f"{name}.csv" for name in _SONIC_TABLES), "metadata.txt", "info.txt")
 """The files in a directory of SONIC."""
 _SONIC_FPS: Final = 50.0
+_SONIC_BODIES: Final = 14
 
 
 class _Root(NamedTuple):
@@ -563,12 +564,14 @@ def open_arrays(file: MotionFile) -> ArrayFile:
 
 
 def open_sonic(file: MotionFile) -> ArrayFile:
-    """The reader of a directory of SONIC: tables with a header, joints in Isaac Lab's order, 50 Hz.
+    """The reader of a directory of SONIC: tables with a header, 50 Hz.
+
+    Joints are in Isaac Lab's order, where the places of several bodies do not tell another one.
 
     Raises:
         MotionError: a table cannot be read.
     """
-    arrays: dict[str, Any] = {"joint_names": names_in_order("isaaclab"), "fps": _SONIC_FPS}
+    arrays: dict[str, Any] = {"fps": _SONIC_FPS}
     digest = b""
     for name in ("joint_pos", "body_pos", "body_quat"):
         path = file.path / f"{name}.csv"
@@ -585,6 +588,12 @@ def open_sonic(file: MotionFile) -> ArrayFile:
             values = values.reshape(len(values), -1, width)
         arrays[name] = values
         digest += one.content
+    bodies, quats = arrays.get("body_pos"), arrays.get("body_quat")
+    if bodies is None and quats is not None:  # which SONIC reads, too
+        arrays["body_pos"] = np.zeros((*quats.shape[:2], 3))
+    tells = bodies is not None and bodies.shape[1] >= _SONIC_BODIES
+    if not tells and file.joint_order is None:
+        arrays["joint_names"] = names_in_order("isaaclab")
     return ArrayFile(replace(file, data=digest), "directory of SONIC", arrays)
 
 

@@ -102,12 +102,12 @@ class MotionFile:
         """All of it.
 
         Raises:
-            MotionError: it cannot be read.
+            MotionError: it cannot be read, or is a pointer of Git LFS.
         """
         if self.data is not None:
             return self.data
         try:
-            return read_file(self.path, MOTION_FILE)
+            content = read_file(self.path, MOTION_FILE)
         except IsADirectoryError:
             raise MotionError(
                 f"{self.path} is a directory, and no bag or session: it has no metadata.yaml.",
@@ -124,6 +124,12 @@ class MotionFile:
                 f"The motion file {self.path} cannot be read: {error.strerror}.",
                 "Give the path of a file that you may read; save what comes from a pipe first.",
             ) from None
+        if content.startswith(_LFS):
+            raise MotionError(
+                f"{self.path.name} is a pointer of Git LFS, not the file itself.",
+                "Fetch it: git lfs pull.",
+            )
+        return content
 
     @property
     def sha256(self) -> str:
@@ -149,16 +155,11 @@ class MotionFile:
                     )
                 reader: MotionReader = load_object(one.reader)(self)
                 return reader
-        if self.content.startswith(_LFS):
-            cause, remedy = (
-                "is a pointer of Git LFS, not the file itself",
-                "Fetch it: git lfs pull.",
-            )
-        else:
-            formats = ", ".join(one.name for one in FORMATS)
-            cause = "is in no format that is read"
-            remedy = f"Give a {formats}: docs/formats.md says with which content."
-        raise MotionError(f"{self.path.name} {cause}.", remedy)
+        raise MotionError(
+            f"{self.path.name} is in no format that is read.",
+            f"Give a {', '.join(one.name for one in FORMATS)}: docs/formats.md says with which "
+            "content.",
+        )
 
 
 class Format(NamedTuple):
@@ -208,7 +209,7 @@ def _is_table(file: MotionFile) -> bool:
     """Whether it says that it is a table, or its first line looks like one; an empty file is."""
     named = file.path.suffix.lower() in (".csv", ".txt")
     first = file.content[:CSV_LINE].split(b"\n", 1)[0]
-    return (named or b"," in first or not first) and not first.startswith(_LFS)
+    return named or b"," in first or not first
 
 
 FORMATS: Final = (

@@ -10,7 +10,7 @@ import pickle
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 
@@ -30,17 +30,18 @@ from g1stream.robot.rotations import (
     xyzw_from_wxyz,
 )
 from g1stream.text import counted, listed
+from g1stream.types import Velocities
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from g1stream.types import Floats, JointOrder, Velocities
+    from g1stream.types import Floats, JointOrder
 
 __all__ = ["FORMATS", "Format", "Take", "write_motion"]
 
-#: Velocities need a frame on either side of one.
+#: Differences of frames need one on either side.
 _FEWEST_FRAMES: Final = 3
 #: Numbers in text have six decimals, as those of LAFAN1 and of SONIC.
 _DECIMALS: Final = 6
@@ -52,7 +53,7 @@ _OF_GMR: Final = {
     "right_toe_link": ("right_ankle_roll_link", (0.1, 0.0, -0.02)),
     "head_mocap": ("torso_link", (0.0, 0.0, 0.4)),
 }
-_SONIC_LIMB: Final = ("hip_roll", "knee", "ankle_roll")
+_SONIC_LEG: Final = ("hip_roll", "knee", "ankle_roll")
 _SONIC_ARM: Final = ("shoulder_roll", "elbow", "wrist_yaw")
 
 
@@ -159,6 +160,7 @@ class Take:
             for name, values in frames._asdict().items():
                 values[numbers.start : numbers.stop] = getattr(point, name)
             last = numbers.stop
+            self.on_progress(0.0)
         return Frames(*(values[:last] for values in frames))
 
     @property
@@ -222,6 +224,11 @@ class Take:
         if self.velocities == "spline":
             return frames.joint_vel, frames.root_lin_vel, frames.root_ang_vel
         assert fps
+        if self.n_frames < _FEWEST_FRAMES:
+            raise MotionError(
+                f"{self.motion.name} has {counted(self.n_frames, 'frame')} at {fps:g} fps.",
+                f"Give {_FEWEST_FRAMES} or more, or leave out --velocities finite.",
+            )
         joints, root = (
             np.gradient(one, axis=0) * fps for one in (frames.joint_pos, frames.root_pos)
         )
@@ -249,23 +256,33 @@ def write_motion(
     Returns:
         What was written.
     """
-    form = FORMATS[name]
+    form = FORMATS.get(name)
+    if form is None:
+        raise MotionError(
+            f"There is no format {name!r} to write.", f"Choose from {', '.join(FORMATS)}."
+        )
     take = Take(motion, form, robot or G1.default(), velocities, on_progress)
     _check(take, name)
-    check_not_input(path, motion.source)
+    check_not_input(path, motion.source, *(part.source for part in motion.parts))
     if form.suffix:
         check_suffix(path, f"a file of the format {name}", form.suffix)
-        with complete_file(path, force=force) as temporary:
-            form.write(take, temporary)
+        place = complete_file(path, force=force)
     else:
-        with complete_directory(path, SONIC_FILES, force=force) as temporary:
-            form.write(take, temporary)
+        place = complete_directory(path, SONIC_FILES, force=force)
+    with place as temporary:
+        form.write(take, temporary)
+        take.on_progress(1.0)  # which raises where it was told to stop
     return take
 
 
 def _check(take: Take, name: str) -> None:
     """Check that a format can hold a motion and what is asked for."""
     form, robot = take.format, take.robot
+    if take.velocities not in get_args(Velocities):
+        raise MotionError(
+            f"There are no velocities {take.velocities!r}.",
+            f"Choose from {', '.join(get_args(Velocities))}.",
+        )
     if take.velocities != "spline" and form.layout is None:
         raise MotionError(f"The format {name} has no velocities.", "Leave --velocities out.")
     if name not in _OWN and not robot.present.all():
@@ -280,11 +297,6 @@ def _check(take: Take, name: str) -> None:
             f"{len(robot.ignored_joints)} more: "
             f"{listed(robot.ignored_joints, 3)}.",
             "Give a URDF in which these are fixed.",
-        )
-    if form.layout and take.n_frames < _FEWEST_FRAMES:
-        raise MotionError(
-            f"{take.motion.name} has {counted(take.n_frames, 'frame')} at {form.fps:g} fps.",
-            f"Give a motion with {_FEWEST_FRAMES} frames or more at that rate.",
         )
 
 
@@ -475,7 +487,7 @@ def _write_rows(file: Any, values: NDArray[Any], name: str) -> None:
 _ISAACLAB: Final = Layout("isaaclab", of_centre=True)
 _SONIC: Final = (
     "pelvis",
-    *(f"{side}_{part}_link" for side in ("left", "right") for part in _SONIC_LIMB),
+    *(f"{side}_{part}_link" for side in ("left", "right") for part in _SONIC_LEG),
     "torso_link",
     *(f"{side}_{part}_link" for side in ("left", "right") for part in _SONIC_ARM),
 )

@@ -144,8 +144,14 @@ class CommandLimits:
             self._next_rested = np.where(asked[0] == self._aimed[0], rested, 0.0)
         np.multiply(self._fastest, time, out=self._reach[0])
         aimed = eased = self._limit_speed(asked)
+        if self._eased is not None:
+            # Back from the torque limit no target leaves the limits, where the one that is aimed at
+            # is still on its way into them.
+            lowest = np.minimum(np.minimum(self._lower, asked[0]), self._eased)
+            highest = np.maximum(np.maximum(self._upper, asked[0]), self._eased)
+            eased = np.stack([np.clip(aimed[0], lowest, highest), aimed[1]])
         if gains is not None and measured and age <= STALE + min(elapsed, MAX_STEP_TIME):
-            eased = self._limit_torque(aimed, tau, gains, measured, age)
+            eased = self._limit_torque(eased, tau, gains, measured, age)
         self._next_eased = None
         if eased is not aimed or self._eased is not None:
             # To the torque limit and back, too, no target leaps.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -56,6 +56,7 @@ __all__ = [
     "Table",
     "accepted",
     "load_config",
+    "read_table",
     "read_toml",
     "setting",
     "settings",
@@ -713,6 +714,34 @@ def read_toml(path: Path, what: str = "config") -> dict[str, Any]:
             "Fix the syntax on that line; configs/sim.toml is an example.",
         ) from error
     return values
+
+
+TableT = TypeVar("TableT", bound=Table)
+
+
+def read_table(
+    kind: type[TableT], path: Path, what: str, remedy: str
+) -> tuple[TableT, dict[str, Any]]:
+    """A TOML file with the settings of one table, and its tables as they are.
+
+    Args:
+        kind: the table.
+        path: of the file.
+        what: it is called in errors.
+        remedy: for a value that does not fit.
+
+    Raises:
+        ConfigError: it cannot be read, or a value does not fit.
+    """
+    tables = read_toml(path, what)
+    try:
+        return kind.model_validate(tables), tables
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ConfigError(
+            f"In the {what} {path}: {key} = {first['input']!r:.80}: {first['msg']}.", remedy
+        ) from error
 
 
 def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:

@@ -43,7 +43,7 @@ _SPEEDS: Final = tuple(
 _REST, _JOINT_RESTS = 0.05, 0.05
 #: Places in the table that are looked at more closely, and s between them.
 _CANDIDATES, _APART = 6, 0.5
-#: of the best place's score, from which on another is looked at.
+#: Share of the best place's score, from which on another is looked at.
 _WORTH: Final = 0.2
 #: Least squares: samples at most, the first time span on either side, s, steps for each span, and
 #: how much longer the next one is.
@@ -227,7 +227,9 @@ class _Signal:
         self.free = np.ones(len(self.grid), dtype=bool)
         moves = rms(self.dq.T) > _REST
         self.moving = float(moves.sum() / _RATE)
-        self.joints = rms(self.dq[moves]) > _JOINT_RESTS if moves.any() else q[0] > np.inf
+        self.joints = (
+            rms(self.dq[moves]) > _JOINT_RESTS if moves.any() else np.zeros(q.shape[1], bool)
+        )
 
     def set_aside(self, play: Play) -> None:
         """Look for the motion elsewhere from now on."""

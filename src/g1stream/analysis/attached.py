@@ -171,7 +171,8 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
         )
     chosen = plays[play - 1]
     preview, seconds, published = _reference_times(session, found, chosen)
-    point = trajectory.sample_many(chosen.speed * seconds)
+    at = chosen.speed * seconds
+    point = trajectory.sample_many(at)
     pelvis = _pelvis(session, point, published)
     info = AttachedInfo(
         by=found.by,
@@ -191,7 +192,6 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
     )
     added, of_motion = MemorySource(), MotionInfo.from_motion(motion)
     played = _played(session, chosen, info)
-    at = chosen.speed * seconds
     samples = encode_references(point, at, chosen.speed, played, pelvis.turn, pelvis.place)
     told = session.measured.clock_offset if session.topics.get(MeasuredStream.topic) else 0
     added.write_batch(ReferenceStream.topic, samples, published, published - told)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from heapq import merge
-from itertools import repeat
+from itertools import chain, repeat
 from mimetypes import guess_type
 from pathlib import Path
 from typing import Final
@@ -53,9 +53,11 @@ def write_attached(
     check_not_input(path, *session.paths)
     robot = session.robot
     pipeline = MessagePipeline(robot, policy=session.policy_info)
-    start = min(int(times.log_time.min()) for times in session.times.values() if len(times))
     topics = [t for t in (*_DDS_TOPICS, _LOG) if session.topics.get(t)]
     total, done = sum(session.topics[topic] for topic in topics), 0
+    rounds = _rounds(session, topics)
+    first = next(rounds)
+    start = min(batch.log_times[0] for batch in first.values())
     with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
         writer.add_metadata(session.metadata)
         attachments = {"robot.urdf": robot.urdf.encode()} | session.attachments
@@ -63,7 +65,7 @@ def write_attached(
             writer.attach(name, guess_type(name)[0] or "application/octet-stream", data, start)
         for messages in pipeline.file_header(start):
             writer.write_batch(*messages)
-        for batches in _rounds(session, topics):
+        for batches in chain([first], rounds):
             for topic, batch in batches.items():
                 writer.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
                 done += len(batch.data)

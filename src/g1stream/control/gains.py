@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import ConfigError
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, matching_joints
 from g1stream.types import Floats
 
@@ -75,18 +74,8 @@ def read_gains(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file cannot be read, a name matches no joint or a value is not a gain.
     """
-    from pydantic import ValidationError
+    from g1stream.config import GainsConfig, read_table
 
-    from g1stream.config import GainsConfig, read_toml
-
-    tables = read_toml(path, "gains file")
-    try:
-        gains = GainsConfig.model_validate(tables)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key, message = ".".join(map(str, first["loc"])), first["msg"]
-        raise ConfigError(
-            f"In the gains file {path}: {key} = {first['input']!r}: {message}.", _FORMAT
-        ) from error
+    gains, tables = read_table(GainsConfig, path, "gains file", _FORMAT)
     resolve_gains(gains, f"the gains file {path}")
     return tables

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.robot.dynamics import BaseMotion, Momentum, friction_torque
+from g1stream.robot.dynamics import STICTION_SPEED, BaseMotion, Momentum, friction_torque
 from g1stream.robot.joints import FRICTION
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats
@@ -23,8 +23,6 @@ __all__ = ["ForceObserver", "RevisionFit", "SupportCheck"]
 
 #: Of a measured torque from that of the true model, N·m.
 _DEVIATION: Final = 0.15
-#: Below about this speed dry friction may take any value up to its full one, rad/s.
-_STICTION_SPEED: Final = 0.05
 
 
 class ForceObserver:
@@ -240,7 +238,7 @@ class _Window(NamedTuple):
     @property
     def deviation(self) -> Floats:
         """(29,) N·m, that of a measured torque: for a joint that hardly moves, its dry friction."""
-        stuck = FRICTION * (1.0 - np.tanh(np.abs(self.dq) / _STICTION_SPEED))
+        stuck = FRICTION * (1.0 - np.tanh(np.abs(self.dq) / STICTION_SPEED))
         return np.hypot(_DEVIATION, stuck)
 
     def solve(self, model: InverseDynamics, support: Support) -> Iterator[Floats]:

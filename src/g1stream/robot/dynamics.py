@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GRAVITY",
+    "STICTION_SPEED",
     "BaseMotion",
     "InverseDynamics",
     "Momentum",
@@ -59,8 +60,8 @@ _ROOT: Final = 1  # the base, after the world
 GRAVITY: Final = 9.81
 """m/s²."""
 
-#: Dry friction reaches its full value at about twice this speed, rad/s.
-_STICTION_SPEED: Final = 0.05
+STICTION_SPEED: Final = 0.05
+"""Dry friction reaches its full value at about twice this speed, rad/s; below it may take any."""
 
 
 class BaseMotion(NamedTuple):
@@ -357,7 +358,7 @@ def friction_torque(dq: Floats, parameters: Parameters = NOMINAL) -> Floats:
 
     Dry friction is smoothed around zero speed, where its direction is unknown.
     """
-    dry = parameters.friction * np.tanh(dq / _STICTION_SPEED)
+    dry = parameters.friction * np.tanh(dq / STICTION_SPEED)
     torque: Floats = parameters.damping * dq + dry
     return torque
 

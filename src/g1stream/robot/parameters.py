@@ -89,21 +89,11 @@ def load_parameters(path: Path) -> Parameters:
     Raises:
         ConfigError: it cannot be read, a name matches no joint, or a value is out of range.
     """
-    from pydantic import ValidationError
-
-    from g1stream.config import ParametersFile, read_toml
+    from g1stream.config import ParametersFile, read_table
     from g1stream.files import read_file
 
-    tables = read_toml(path, "parameters file")
-    try:
-        values = ParametersFile.model_validate(tables)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key, message = ".".join(map(str, first["loc"])), first["msg"]
-        raise ConfigError(
-            f"In the parameters file {path}: {key} = {first['input']!r:.80}: {message}.",
-            "Correct the value; docs/gap.md has every entry with its unit.",
-        ) from error
+    remedy = "Correct the value; docs/gap.md has every entry with its unit."
+    values, _ = read_table(ParametersFile, path, "parameters file", remedy)
     motors: dict[str, Floats] = {}
     for name in _OF_MOTORS:
         array = getattr(NOMINAL, name).copy()

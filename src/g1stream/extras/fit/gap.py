@@ -18,7 +18,7 @@ from g1stream.analysis.signals import SIMULATED
 from g1stream.app.session import Session, open_session
 from g1stream.extras.fit.recorded import Recorded, noise_of, smoothed
 from g1stream.extras.fit.simulation import Simulated, simulate_commands, world_support
-from g1stream.robot.dynamics import GRAVITY, BaseMotion, InverseDynamics
+from g1stream.robot.dynamics import GRAVITY, STICTION_SPEED, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
 from g1stream.session.format import CHANNELS
@@ -41,8 +41,6 @@ _ERRORS: Final = 4.0
 _CUTOFF: Final = 15.0
 #: Every so many LowStates count in a regression: those between tell the same.
 _EVERY: Final = 5
-#: Dry friction has its full value from about this speed on, rad/s.
-_STICTION_SPEED: Final = 0.05
 #: A joint that is slower on average (RMS) tells neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
 #: Delays of commands that are tried, s.
@@ -298,7 +296,7 @@ def _causes(
     found: dict[int, list[Cause]] = {}
     for j in np.flatnonzero(differs).tolist():
         columns = {
-            ("dry friction", "N·m"): np.tanh(dq[:, j] / _STICTION_SPEED),
+            ("dry friction", "N·m"): np.tanh(dq[:, j] / STICTION_SPEED),
             ("weight", "times its torque"): weight[:, j],
             ("constant torque", "N·m"): np.ones(len(rows)),
         }
@@ -309,7 +307,7 @@ def _causes(
             }
         causes = _explained(columns, differences["tau"][rows, j])
         play = {("backlash", "rad"): np.tanh(tau[:, j] / 0.2), ("", ""): np.ones(len(rows))}
-        play |= {("", "friction"): np.tanh(dq[:, j] / _STICTION_SPEED), ("", "tau"): tau[:, j]}
+        play |= {("", "friction"): np.tanh(dq[:, j] / STICTION_SPEED), ("", "tau"): tau[:, j]}
         causes += [one for one in _explained(play, differences["q"][rows, j]) if one.name]
         causes.sort(key=lambda one: -(one.share or 0.0))
         if delay is not None and delay > 0.5 * recorded.period:

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from g1stream.errors import RecordingError
 from g1stream.input_limits import NUMBER
-from g1stream.robot.rotations import quat_normalize
+from g1stream.robot.rotations import quat_normalize, sign_continuous
 from g1stream.session.recording import Recording
 from g1stream.session.records import StreamSummary, read_record
 from g1stream.session.streams import CommandStream, MeasuredStream
@@ -132,7 +132,7 @@ class Recorded:
             q=measured.q[order],
             dq=measured.dq[order],
             tau=measured.tau[order],
-            quat_wxyz=quat_normalize(_continuous(measured.imu_quat_wxyz[order])),
+            quat_wxyz=quat_normalize(sign_continuous(measured.imu_quat_wxyz[order])),
             gyroscope=measured.gyroscope[order],
             accelerometer=measured.accelerometer[order],
             base_pos=position,
@@ -241,14 +241,6 @@ def _own_time(tick: NDArray[np.uint32], published: Ints) -> Floats:
     total = np.concatenate([[0.0], np.cumsum(even)])
     evened: Floats = total * (real[-1] / total[-1])
     return evened
-
-
-def _continuous(quat: Floats) -> Floats:
-    """Quaternions (N, 4) whose signs do not alternate."""
-    same = np.einsum("ij,ij->i", quat[1:], quat[:-1]) >= 0.0
-    signs = np.cumprod(np.where(same, 1.0, -1.0))
-    turned: Floats = quat * np.concatenate([[1.0], signs])[:, np.newaxis]
-    return turned
 
 
 def smoothed(values: Floats, rate: float, cutoff: float) -> Floats:

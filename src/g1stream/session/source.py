@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["ExtendedSource", "MemorySource", "SessionFiles", "SessionSource", "session_topics"]
+    from g1stream.session.recorded_motion import RecordingFile
+
+__all__ = ["ExtendedSource", "FilesSource", "MemorySource", "SessionFiles", "SessionSource"]
 
 
 class SessionSource(ABC):
@@ -71,7 +73,26 @@ class SessionSource(ABC):
         """
 
 
-def session_topics(counts: Mapping[str, int]) -> dict[str, str]:
+class FilesSource(SessionSource):
+    """Files of messages, read as one, with topics as a session has them."""
+
+    def _read_from(self, files: Sequence[RecordingFile]) -> None:
+        """Serve the messages of some files, in their order."""
+        self._of_messages = files
+        counts = sum((file.counts for file in files), Counter[str]())
+        self._names = _session_topics(counts)
+        self.topics = {topic: counts[name] for topic, name in self._names.items()}
+        self.unread = sum(file.unread for file in files)
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, batch by batch, in the order of the files."""
+        names = {self._names[topic]: topic for topic in topics if topic in self._names}
+        for file in self._of_messages:
+            for name, messages in file.batches(set(names)):
+                yield names[name], messages
+
+
+def _session_topics(counts: Mapping[str, int]) -> dict[str, str]:
     """By topic of a session: the topic of a file that is the same, such as `/rt/lowstate`.
 
     Args:
@@ -86,7 +107,7 @@ def session_topics(counts: Mapping[str, int]) -> dict[str, str]:
     return topics
 
 
-class SessionFiles(SessionSource):
+class SessionFiles(FilesSource):
     """The files of a session, read as one.
 
     Args:
@@ -110,18 +131,8 @@ class SessionFiles(SessionSource):
         self.absent_parts = {number: error.cause for number, error in errors.items()}
         self.paths = [file.path for file in self._files]
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
-        counts = sum((file.counts for file in self._files), Counter[str]())
-        self._names = session_topics(counts)
-        self.topics = {topic: counts[name] for topic, name in self._names.items()}
-        self.unread = sum(file.unread for file in self._files)
+        self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
-
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per topic and chunk, in the order of the files."""
-        names = {self._names[topic]: topic for topic in topics if topic in self._names}
-        for file in self._files:
-            for name, messages in file.batches(set(names)):
-                yield names[name], messages
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""

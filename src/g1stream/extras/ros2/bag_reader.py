@@ -27,7 +27,7 @@ from g1stream.session.recorded_motion import (
     RecordedMotion,
     RecordingFile,
 )
-from g1stream.session.source import SessionSource, session_topics
+from g1stream.session.source import FilesSource
 
 #: Messages that are taken at once.
 _ROWS: Final = 100
@@ -42,8 +42,8 @@ def open_bag(file: MotionFile) -> RecordedMotion:
     return RecordedMotion(file, files, DECODERS)
 
 
-class BagSource(SessionSource):
-    """A bag in SQLite, or a compressed one, as a session.
+class BagSource(FilesSource):
+    """A bag in SQLite, or a compressed one, as a session; it has one time for each message.
 
     Args:
         path: of the file, or of the directory with metadata.yaml.
@@ -54,16 +54,8 @@ class BagSource(SessionSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._bag = _Bag(path)
-        self._names = session_topics(self._bag.counts)
         self.paths = [one for one in parts_of(path) if one.is_file()]
-        self.topics = {topic: self._bag.counts[name] for topic, name in self._names.items()}
-
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics; publish times are log times, which is all that it has."""
-        names = {self._names[topic]: topic for topic in topics if topic in self._names}
-        for name, messages in self._bag.batches(set(names)):
-            yield names[name], messages
+        self._read_from([_Bag(path)])
 
     def attachments(self) -> dict[str, bytes]:
         """None: a bag has no files."""

@@ -44,6 +44,7 @@ __all__ = [
 #: Modules of the programs that are not in `g1stream.app`.
 _ELSEWHERE: Final = {
     "guard": "g1stream.control.guard",
+    "receiver": "g1stream.recorder.receiver",
     "ros2": "g1stream.extras.ros2.topics",
 }
 
@@ -139,6 +140,10 @@ class Child:
     @property
     def alive(self) -> bool:
         return self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     def wait_until_ready(
         self, timeout: float = 20.0, abandoned: Callable[[], bool] = _never

@@ -53,7 +53,6 @@ class Record(LiveCommand):
         from g1stream.app.record import record
         from g1stream.motion.readers import load_motion
 
-        lower_priority()
         stopped: list[str] = []
         config = self.resolve()
         if self.motion is not None and not self.live:
@@ -74,6 +73,7 @@ class Record(LiveCommand):
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 
             def on_recorder(recorder: Recorder) -> None:
+                lower_priority()  # not the receiver's, which has been started
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))
 
             summary = record(

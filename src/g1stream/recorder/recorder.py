@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from array import array
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
 from logging.handlers import QueueHandler
 from queue import SimpleQueue
@@ -51,6 +50,8 @@ _DROPS_PERIOD: Final = 1.0
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: Topics that most streams do not publish.
 _OCCASIONAL: Final = frozenset({ARM_SDK.name, POLICY.name})
+#: Batches whose median delays are kept: the last minutes, as the offset may drift.
+_DELAYS: Final = 8192
 #: How long awaited publishers are looked for, s, and how often.
 _MATCH_TIMEOUT: Final = 10.0
 _POLL_PERIOD: Final = 0.02
@@ -139,10 +140,10 @@ class Recorder:
         self._events: SimpleQueue[logging.LogRecord] = SimpleQueue()
         self._losses = Losses()
         self._steps = StepDetector()
-        # By topic, of each batch the median of log minus publish times, ns. From another host that
-        # is the transit plus the offset between the clocks, which one direction cannot tell apart;
-        # in a wired network the transit takes well below 1 ms.
-        self._delays: dict[str, array[int]] = defaultdict(lambda: array("q"))
+        # By topic, of batches the median of log minus publish times, ns. From another host that is
+        # the transit plus the offset between the clocks, which one direction cannot tell apart; in
+        # a wired network the transit takes well below 1 ms.
+        self._delays: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=_DELAYS))
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
         self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)

@@ -503,7 +503,7 @@ class TopicDelay(Record):
 
     Attributes:
         hosts: of the publishers.
-        median_ns: of log minus publish time.
+        median_ns: of log minus publish time, in the last minutes.
         clock_offset_estimate_ns: where a publisher is on another host, that median as the offset
             between the clocks, transit included.
     """

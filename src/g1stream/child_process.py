@@ -183,10 +183,14 @@ class Child:
             self.kill()
         return self._result
 
-    def kill(self) -> None:
-        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL."""
+    def kill(self, *, at_once: bool = False) -> None:
+        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL.
+
+        Args:
+            at_once: by SIGKILL in any case.
+        """
         self._finishing = True
-        if process_state(self._process.pid) in ("T", "t"):
+        if at_once or process_state(self._process.pid) in ("T", "t"):
             self._process.kill()
         self._process.terminate()
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -14,7 +15,7 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SECONDARY_IMU, LowState, SecondaryImu
-from g1stream.errors import RecordingError
+from g1stream.errors import MotionError, RecordingError
 
 
 @pytest.fixture
@@ -73,6 +74,17 @@ def test_where_nobody_is_it_leads_to_the_doctor(domain_id, config):
     ("settings", "path"),
     [({}, "there"), ({"auto_name": True}, "no/s.mcap"), ({"split_size": 1.0}, "there.mcap")],
 )
+def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path):
+    """The guard has been started by then."""
+    with Participant(domain_id, "lo") as peer:
+        commands = RawReader(peer, LOWCMD)
+        with pytest.raises(MotionError):
+            stream(tmp_path / "none.csv", config)
+        assert not commands.take()
+    children = Path("/proc/self/task").glob("*/children")
+    assert not any(task.read_text() for task in children)
+
+
 def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch, settings, path):
     monkeypatch.setattr(program, "Participant", lambda *_: pytest.fail("a participant is created"))
     (tmp_path / "there").write_bytes(b"precious")

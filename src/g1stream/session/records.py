@@ -69,7 +69,10 @@ class Record(BaseModel):
     """What is written as JSON; its numbers are finite."""
 
     # A file of another version may have more fields, or fewer.
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, validate_default=False)
+    # Each is built when it is first used: a stream starts without most of them.
+    model_config = ConfigDict(
+        extra="ignore", allow_inf_nan=False, validate_default=False, defer_build=True
+    )
 
 
 RecordT = TypeVar("RecordT", bound=BaseModel)

@@ -70,10 +70,6 @@ def test_where_nobody_is_it_leads_to_the_doctor(domain_id, config):
     assert f"g1stream doctor --domain {domain_id} --interface lo" in finding.remedy
 
 
-@pytest.mark.parametrize(
-    ("settings", "path"),
-    [({}, "there"), ({"auto_name": True}, "no/s.mcap"), ({"split_size": 1.0}, "there.mcap")],
-)
 def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path):
     """The guard has been started by then."""
     with Participant(domain_id, "lo") as peer:
@@ -85,6 +81,10 @@ def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path)
     assert not any(task.read_text() for task in children)
 
 
+@pytest.mark.parametrize(
+    ("settings", "path"),
+    [({}, "there"), ({"auto_name": True}, "no/s.mcap"), ({"split_size": 1.0}, "there.mcap")],
+)
 def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch, settings, path):
     monkeypatch.setattr(program, "Participant", lambda *_: pytest.fail("a participant is created"))
     (tmp_path / "there").write_bytes(b"precious")

@@ -21,7 +21,7 @@ from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.robot_time import RobotTime
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.targets import COAST_NS, Targets, Timing
-from g1stream.dds.domain import SETTLE
+from g1stream.dds.domain import SETTLE, network_name
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.text import counted
@@ -40,6 +40,8 @@ __all__ = ["StreamLoop", "make_loop"]
 
 _LOGGER = logging.getLogger(__name__)
 
+#: What WAIT waits for is said after the first of these times, and each time the second passes, ns.
+_TOLD, _TOLD_AGAIN = 1_000_000_000, 3_000_000_000
 #: Time of the motion that one command may pass, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 
@@ -61,6 +63,7 @@ class StreamLoop:
         allow_second_writer: play although there is another publisher of LowCmd.
         topic: of the commands: LOWCMD, or ARM_SDK.
         command_delay: finds commands that wait in a queue; None: not looked for.
+        where: the robot is waited for, in words.
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
@@ -81,6 +84,7 @@ class StreamLoop:
         allow_second_writer: bool = False,
         topic: Topic = LOWCMD,
         command_delay: CommandDelay | None = None,
+        where: str = "",
     ) -> None:
         self._link = link
         self._clock = clock
@@ -93,6 +97,7 @@ class StreamLoop:
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
         self._topic = topic
         self._command_delay = command_delay
+        self._where, self._next_told = where, _TOLD
         self._robot_time = RobotTime()
         self._low_state = LowState()
         self._measured: Reading | None = None
@@ -239,6 +244,7 @@ class StreamLoop:
         if self._command_delay:
             self._command_delay.sent(deadline / 1e9, prepared.command)
         self._commands.sent()
+        report.error.asked(stamp, prepared.target, playing=self.state.phase is Phase.PLAY)
         report.first_stamp = report.first_stamp or stamp
         report.last_stamp = stamp
 
@@ -252,6 +258,7 @@ class StreamLoop:
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
+        self.report.error.received(measured)
         self._robot_time.add(measured, self._feedforward.time_scale)
         self._feedforward.observe(self._commands.phase, measured)
         if self._command_delay:
@@ -276,6 +283,11 @@ class StreamLoop:
         missing = ""
         if before.phase is Phase.WAIT:
             missing = unknown or self._checks.missing or self._no_subscriber()
+            if missing and before.elapsed(now) >= self._next_told:
+                self._next_told = before.elapsed(now) + _TOLD_AGAIN
+                _LOGGER.info(
+                    "WAIT: %s; %s, for up to %g s", missing, self._where, self._schedule.wait / 1e9
+                )
         inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
@@ -453,4 +465,5 @@ def make_loop(
         allow_second_writer=config.safety.allow_second_writer,
         topic=plan.topic,
         command_delay=delay,
+        where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

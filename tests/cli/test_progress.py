@@ -118,7 +118,9 @@ def played():
 
 
 def test_the_status_of_a_loop(played):
-    fraction, text = loop_status(played, SimpleNamespace(duration=24.0))
+    assert loop_status(played, 3.0, 9.0)[0] == 0.5  # of a part
+    assert loop_status(played, 9.0, 12.0)[0] == 0.0
+    fraction, text = loop_status(played, 0.0, 24.0)
     assert fraction == 0.25
     first, second, third = text.split("\n")
     assert first.split() == ["PLAY", "6.00", "of", "24.00", "s"]

@@ -121,9 +121,10 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
     print(f"{printable(where)}.", file=sys.stderr)
 
 
-def yes_flag() -> Any:
+def yes_flag(*, advanced: bool = False) -> Any:
     """The flag --yes of commands that ask before they move a robot."""
-    return flag(None, "Confirm beforehand, by the name of the interface in use.", "INTERFACE")
+    text = "Confirm beforehand, by the name of the interface in use."
+    return flag(None, text, "INTERFACE", advanced=advanced)
 
 
 def confirmed(interface: str, yes: str | None) -> bool:

@@ -18,7 +18,7 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import argument, flag, flag_name
-from g1stream.cli.motion_flags import MOTIONS, MotionFlags
+from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
@@ -44,7 +44,7 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(MotionFlags):
+class Convert(MotionPartFlags):
     """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
 
     Log and publish time of every message are the base time + frame / fps, to the nearest
@@ -86,18 +86,21 @@ class Convert(MotionFlags):
         "spline",
         "With --to: velocities are derivatives of the spline that is streamed, or differences of "
         "the frames in the file.",
+        advanced=True,
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
         "TIME",
+        advanced=True,
     )
     frames: str = flag(
         ":",
         "Only frames A to B - 1; either may be left out. Each keeps its time.",
         "A:B",
         shown="all",
+        advanced=True,
     )
     resample: float | None = flag(
         None,
@@ -106,19 +109,28 @@ class Convert(MotionFlags):
         shown="the frames as they are",
         gt=0,
     )
-    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.")
+    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.", advanced=True)
     root_link: str | None = flag(
-        None, "The link whose pose is in the motion file.", "LINK", shown="the URDF's root"
+        None,
+        "The link whose pose is in the motion file.",
+        "LINK",
+        shown="the URDF's root",
+        advanced=True,
     )
-    world_frame: str = flag("world", "Name of the world's frame.", "NAME")
-    flat: bool = flag(False, "Put every link straight under the world instead of under its parent.")
+    world_frame: str = flag("world", "Name of the world's frame.", "NAME", advanced=True)
+    flat: bool = flag(
+        False, "Put every link straight under the world instead of under its parent.", advanced=True
+    )
     urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
-    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC")
+    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC", advanced=True)
     meshes: bool = flag(
         False,
         "Show the meshes of the URDF, with fewer triangles, or the real G1's (extra `meshes`).",
+        advanced=True,
     )
-    compression: Literal["zstd", "lz4", "none"] = flag("zstd", "Compression of the file.")
+    compression: Literal["zstd", "lz4", "none"] = flag(
+        "zstd", "Compression of the file.", advanced=True
+    )
     force: bool = flag(False, "Replace a file that exists already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
@@ -141,7 +153,7 @@ class Convert(MotionFlags):
             )
         from g1stream.motion.motion import MOTION_SUFFIXES
 
-        of_motion = {f.name for f in fields(MotionFlags)}
+        of_motion = {f.name for f in fields(MotionPartFlags)}
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")

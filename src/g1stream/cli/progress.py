@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from g1stream.control.command import Prepared
     from g1stream.control.loop import StreamLoop
-    from g1stream.motion.motion import Motion
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport
 
@@ -135,12 +134,16 @@ def _frame(console: Console, fraction: float | None, text: str) -> str:
     return f"{_ERASE}\n{lines}\x1b[{lines.count(chr(10)) + 1}F"
 
 
-def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
-    """Phase, time and rate; lateness, and age of the state; the error by limb."""
+def loop_status(loop: StreamLoop, start: float, end: float) -> tuple[float, str]:
+    """Phase, time and rate; lateness, and age of the state; the error by limb.
+
+    What is played is from `start` to `end` s of the motion.
+    """
     report, phase, newest = loop.report, loop.state.phase, loop.newest
-    fraction = min(1.0, loop.motion_time / motion.duration) if motion.duration else 1.0
+    passed = max(0.0, loop.motion_time - start)
+    fraction = min(1.0, passed / (end - start)) if end > start else 1.0
     rate = f"  {report.rate:.2f} Hz" if report.rate else ""
-    text = f"{phase.name:<4}  {loop.motion_time:.2f} of {motion.duration:.2f} s{rate}"
+    text = f"{phase.name:<4}  {passed:.2f} of {end - start:.2f} s{rate}"
     if newest is None:
         return fraction, text
     late = report.lateness

@@ -36,9 +36,9 @@ class Render(SessionFlags):
     session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     out: Path = argument("The file to write: .mp4, .gif, or .png for one frame.", "OUT")
     start: float | None = flag(
-        None, "Time of the first frame on the motion's clock.", "S", shown="of the session"
+        None, "Time of the first frame on the motion's clock.", "SECONDS", shown="of the session"
     )
-    duration: float | None = flag(None, "Length.", "S", shown="to the end", gt=0)
+    duration: float | None = flag(None, "Length.", "SECONDS", shown="to the end", gt=0)
     fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
     size: str = flag("640x480", "Width and height, pixels.", "WxH")
     camera: Camera = flag("oblique", "Where the camera stands around the robot.", shown="oblique")

@@ -60,7 +60,7 @@ class Sim(LiveCommand):
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
-            support = _SUPPORT[config.sim.support]
+            support = _SUPPORT[config.sim.held_by]
             print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
 
         with ExitStack() as stack:

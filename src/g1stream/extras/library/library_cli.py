@@ -110,12 +110,17 @@ class Library(SettingsCommand):
     to: Literal["npz", "csv", "mcap", MotionFormat] = flag(
         "npz", "convert: format of the files; beyondmimic and the like are for other programs."
     )
-    workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
-    cluster: str | None = flag(
-        None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
+    workers: int | None = flag(
+        None, "Processes on this machine.", "N", shown="CPUs", gt=0, advanced=True
     )
-    time_limit: float = flag(600.0, "Time for a motion.", "S", gt=0)
-    memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0)
+    cluster: str | None = flag(
+        None,
+        "Use the workers of this Dask scheduler instead (extra `cluster`).",
+        "ADDRESS",
+        advanced=True,
+    )
+    time_limit: float = flag(600.0, "Time for a motion.", "SECONDS", gt=0, advanced=True)
+    memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0, advanced=True)
     fail_if: list[str] = flag(
         (),
         "Exit code 1 where this holds for a row: NAME OP NUMBER, OP one of < <= > >=. May be "

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.cli import flags
 from g1stream.cli.command import Command, announce_wire
-from g1stream.cli.flags import argument, flag, flag_name, parse_flags
+from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
@@ -220,7 +219,7 @@ def test_a_help_fits_two_screens(command, capsys):
 def test_no_number_is_called_a_name():
     found = {}
     for command, kind in CLASSES.items():
-        parser = flags._parser(kind, command, "", everything=True)[0]
+        parser = command_parser(kind, command, "")
         found |= {action.dest: action.metavar for action in parser._actions}
     assert found["sim.noise"] == "NUMBER"
     assert found["sim.push"] == "M/S"

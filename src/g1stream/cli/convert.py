@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
+    QuietFlag,
     exit_code_of_signal,
     on_signals,
     print_json,
@@ -44,7 +45,7 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(MotionPartFlags):
+class Convert(MotionPartFlags, QuietFlag):
     """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
 
     Log and publish time of every message are the base time + frame / fps, to the nearest
@@ -178,7 +179,7 @@ class Convert(MotionPartFlags):
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
 
     def _require(self, flags: set[str], what: str) -> None:
-        other = [f.name for f in fields(self) if f.name not in flags]
+        other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]
         given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
         if given:
             raise ConfigError(

@@ -119,7 +119,7 @@ def parse_flags(
         ConfigError: a flag or an argument that does not exist or is missing, or a value that its
             flag does not accept.
     """
-    parser, settings, hints = _parser(kind, name, purpose, everything="--help-all" in arguments)
+    parser, settings, hints = _parser_of(kind, name, purpose, everything="--help-all" in arguments)
     given = parser.parse(arguments)
     chosen = {key: given.pop(key) for key in settings if key in given}
     values = {
@@ -129,7 +129,7 @@ def parse_flags(
     return kind(**values, **({"settings": chosen} if "settings" in hints else {}))
 
 
-def _parser(
+def _parser_of(
     kind: type[Any], name: str, purpose: str, *, everything: bool
 ) -> tuple[_Parser, dict[str, FieldInfo], dict[str, Any]]:
     """The parser of a command, its settings, and the types of its fields."""
@@ -145,7 +145,13 @@ def _parser(
         for key, setting in settings.items():
             if key.rpartition(".")[0] == table:
                 parser.add_flag(group, key, _option_of(setting), setting.annotation)
+    parser.complete()
     return parser, settings, hints
+
+
+def command_parser(kind: type[Any], name: str, purpose: str) -> ArgumentParser:
+    """A parser that knows all flags of a command, for what is made of them, such as a man page."""
+    return _parser_of(kind, name, purpose, everything=True)[0]
 
 
 class _Parser(ArgumentParser):
@@ -231,6 +237,21 @@ class _Parser(ArgumentParser):
 
         return read
 
+    def complete(self) -> None:
+        """All flags have been added: make the usage, and --help-all where there is more to show."""
+        indent = " " * len("usage: ")
+        usage = textwrap.fill(
+            " ".join(self._usage),
+            80,
+            initial_indent=indent,
+            subsequent_indent=indent,
+            break_on_hyphens=False,
+        )
+        self.usage = usage.lstrip()
+        if self._hidden or self._everything:
+            text = f"Show {counted(self._hidden, 'more flag')}, and their tables in a TOML file."
+            self.add_argument("--help-all", action="help", help=text)
+
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:
         """The values that are given, by the key that they were added with."""
         end = arguments.index("--") if "--" in arguments else len(arguments)
@@ -247,18 +268,6 @@ class _Parser(ArgumentParser):
                         f"g1stream {self._command} has no flag {name}.",
                         f"{instead}{self._see_help()}",
                     )
-        indent = " " * len("usage: ")
-        usage = textwrap.fill(
-            " ".join(self._usage),
-            80,
-            initial_indent=indent,
-            subsequent_indent=indent,
-            break_on_hyphens=False,
-        )
-        self.usage = usage.lstrip()
-        if self._hidden or self._everything:
-            text = f"Show {counted(self._hidden, 'more flag')}, and their tables in a TOML file."
-            self.add_argument("--help-all", action="help", help=text)
         namespace, extra = self.parse_known_intermixed_args(texts)
         if extra:
             raise ConfigError(

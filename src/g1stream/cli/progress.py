@@ -9,6 +9,7 @@ import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
+from g1stream.events import is_quiet
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.text import counted
 from g1stream.types import Phase
@@ -59,10 +60,10 @@ class ProgressDisplay:
     def __init__(
         self, status: Callable[[], tuple[float | None, str]], in_pipe: float | None = None
     ) -> None:
-        self._status, self._in_pipe = status, in_pipe
+        self._status, self._in_pipe = status, None if is_quiet() else in_pipe
         self._stream = sys.stderr
-        dumb = os.environ.get("TERM") in ("dumb", "unknown")
-        self._on_terminal = self._stream.isatty() and not dumb
+        silent = is_quiet() or os.environ.get("TERM") in ("dumb", "unknown")
+        self._on_terminal = self._stream.isatty() and not silent
         self._done = threading.Event()
         run = self._draw if self._on_terminal else self._print
         self._thread = threading.Thread(target=run, name="progress", daemon=True)

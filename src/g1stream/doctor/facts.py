@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from pydantic import ConfigDict, Field, field_serializer
 
-from g1stream.dds.local_participants import LocalParticipant
 from g1stream.realtime import Grant
 from g1stream.session import records
 from g1stream.types import Via
+
+if TYPE_CHECKING:
+    from g1stream.dds.local_participants import LocalParticipant
 
 
 class Level(IntEnum):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.local_participants import LocalParticipant
 from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import (
     Facts,
@@ -24,11 +23,15 @@ from g1stream.doctor.facts import (
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted
 
+if TYPE_CHECKING:
+    from g1stream.dds.local_participants import LocalParticipant
+
 #: Room for a hundred LowStates, with the kernel's overhead of each.
 _ENOUGH_BUFFER: Final = 1 << 20
 _SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 #: Programs that a finding names.
 _MOST_PROGRAMS: Final = 5
+_OUR_GUARD: Final = "g1stream guard"  # of the stream that asks
 _START_ROBOT: Final = "Start a bridge (g1stream sim), or connect and switch on the robot."
 _START_CONTROLLER: Final = "Let the robot stand by its own controller, which subscribes to it."
 
@@ -182,7 +185,8 @@ def _publishers(domain: int, interface: str, wire: WireFacts) -> Iterator[Findin
             f"Use --domain {other}." if other != domain else f"Use --interface {name}.",
         )
     if not wire.elsewhere:
-        others = len({peer.participant for peer in (*wire.writers, *wire.readers)})
+        peers = (*wire.writers, *wire.readers)
+        others = len({one.participant for one in peers if not one.owner.startswith(_OUR_GUARD)})
         searched = "".join(f", nor in domain {other} on {name}" for other, name in wire.searched)
         yield problem(
             "publisher",

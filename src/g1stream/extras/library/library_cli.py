@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
+    QuietFlag,
     SettingsCommand,
     exit_code_of_signal,
     on_signals,
@@ -46,7 +47,7 @@ _IN_PIPE_S: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Library(SettingsCommand):
+class Library(SettingsCommand, QuietFlag):
     """Checks, simulates or converts all motion files in directories, copies of a file once.
 
     check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,

@@ -64,9 +64,9 @@ def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, 
 def test_what_wait_waits_for_is_said_meanwhile(make_loop, link, clock, timing, events):
     link.subscriber_count = 0
     make_loop(timing=replace(timing, wait=8_500 * MS), where="domain 7 on lo").run()
-    told = [text for _, text in events() if text.startswith("WAIT: ")]
+    told = [text for _, text in events() if text.startswith("WAIT, ")]
     assert len(told) == 3  # after 1, 4 and 7 s
-    assert set(told) == {"WAIT: no subscriber on rt/lowcmd; domain 7 on lo, for up to 8.5 s"}
+    assert set(told) == {"WAIT, up to 8.5 s, in domain 7 on lo: no subscriber on rt/lowcmd"}
 
 
 def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):

@@ -285,9 +285,8 @@ class StreamLoop:
             missing = unknown or self._checks.missing or self._no_subscriber()
             if missing and before.elapsed(now) >= self._next_told:
                 self._next_told = before.elapsed(now) + _TOLD_AGAIN
-                _LOGGER.info(
-                    "WAIT: %s; %s, for up to %g s", missing, self._where, self._schedule.wait / 1e9
-                )
+                longest = self._schedule.wait / 1e9
+                _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
         inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:

@@ -89,7 +89,7 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
     [
         (["x", "--domian", "3"], "flag --domian", "--domain"),
         (["--domian=3"], "--domian", "--domain"),
-        (["x", "-q"], "-q", "--help"),
+        (["x", "-z"], "-z", "--help"),
         ([], "MOTION", "--help"),
         (["--arm"], "MOTION", "--help"),
         (["x", "--domain"], "--domain", "--help"),

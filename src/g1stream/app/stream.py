@@ -12,7 +12,6 @@ from typing import Any, Final
 
 from g1stream.analysis.summarise import summarise_run
 from g1stream.analysis.summary import Summary, Termination
-from g1stream.analysis.tracking import errors_of_run
 from g1stream.app.arming import ArmingReport, confirm_arming, require_arming
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
@@ -27,7 +26,7 @@ from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.doctor.facts import Finding
 from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.inspection import inspect_participant, search_elsewhere
+from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
@@ -125,6 +124,8 @@ def _summarise(
     met = played.commands or played.states_used  # else the file says nothing about a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
+    from g1stream.analysis.tracking import errors_of_run
+
     followed = errors_of_run(report.error, planned.played)
     return summarise_run(
         planned.config,
@@ -266,6 +267,8 @@ def _diagnose(
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.subscribers())
     where = planned.config.dds
+    from g1stream.doctor.inspection import search_elsewhere
+
     wire = search_elsewhere(wire, where.domain, where.interface)
     findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
     for finding in findings:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.robot.joints import N_JOINTS
-from g1stream.session.streams import MAX_GAP_NS
-from g1stream.types import Floats
+from g1stream.types import MAX_GAP_NS, Floats
 
 if TYPE_CHECKING:
     from g1stream.control.reading import Reading

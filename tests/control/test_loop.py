@@ -2,6 +2,7 @@
 
 import gc
 import logging
+import math
 import sys
 from dataclasses import replace
 
@@ -59,6 +60,12 @@ def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, 
     np.testing.assert_allclose(found.rmse, np.sqrt((error**2).mean(axis=0)), atol=1e-7)
     np.testing.assert_allclose(found.max_abs, np.abs(error).max(axis=0), atol=1e-7)
     np.testing.assert_allclose(found.max_abs_at, 0.002 * np.abs(error).argmax(axis=0))
+
+
+def test_the_part_that_is_played(make_loop, trajectory, timing):
+    targets = Targets(trajectory, start=0.1)
+    assert make_loop(targets=targets).part == (0.1, 0.6)
+    assert make_loop(targets=targets, timing=replace(timing, play=None)).part == (0.1, math.inf)
 
 
 def test_what_wait_waits_for_is_said_meanwhile(make_loop, link, clock, timing, events):

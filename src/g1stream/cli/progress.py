@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
+from math import inf
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 from g1stream.events import is_quiet
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.command import Prepared
     from g1stream.control.loop import StreamLoop
+    from g1stream.motion.motion import Motion
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport
 
@@ -135,16 +137,15 @@ def _frame(console: Console, fraction: float | None, text: str) -> str:
     return f"{_ERASE}\n{lines}\x1b[{lines.count(chr(10)) + 1}F"
 
 
-def loop_status(loop: StreamLoop, start: float, end: float) -> tuple[float, str]:
-    """Phase, time and rate; lateness, and age of the state; the error by limb.
-
-    What is played is from `start` to `end` s of the motion.
-    """
+def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
+    """Phase, time and rate; lateness, and age of the state; the error by limb."""
     report, phase, newest = loop.report, loop.state.phase, loop.newest
+    start, end = loop.part
+    length = motion.duration if end == inf else end - start
     passed = max(0.0, loop.motion_time - start)
-    fraction = min(1.0, passed / (end - start)) if end > start else 1.0
+    fraction = min(1.0, passed / length) if length else 1.0
     rate = f"  {report.rate:.2f} Hz" if report.rate else ""
-    text = f"{phase.name:<4}  {passed:.2f} of {end - start:.2f} s{rate}"
+    text = f"{phase.name:<4}  {passed:.2f} of {length:.2f} s{rate}"
     if newest is None:
         return fraction, text
     late = report.lateness

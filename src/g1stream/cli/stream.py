@@ -106,9 +106,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
             loops.append(loop)
             if early:
                 loop.request_stop(early[0], logging.INFO)
-            start, length = config.stream.start, config.stream.duration
-            end = motion.duration if length is None else min(motion.duration, start + length)
-            stack.enter_context(ProgressDisplay(lambda: loop_status(loop, start, end)))
+            stack.enter_context(ProgressDisplay(lambda: loop_status(loop, motion)))
 
         yield prepare
 

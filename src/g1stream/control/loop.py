@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
@@ -130,6 +131,12 @@ class StreamLoop:
     def motion_time(self) -> float:
         """Where in the motion the loop is, s."""
         return self.newest.target.motion_time if self.newest else 0.0
+
+    @property
+    def part(self) -> tuple[float, float]:
+        """Where in the motion PLAY begins and ends, s; infinity: without end."""
+        start, length = self._schedule.first.motion_time, self._schedule.play
+        return start, inf if length is None else start + length / 1e9
 
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread.

@@ -145,7 +145,13 @@ class StreamConfig(Table):
     """How a motion is played."""
 
     rate: float = setting(
-        STREAM_RATE, "LowCmd per second", "Hz", flag=PLAY_FLAG, advanced=True, ge=50.0, le=2000.0
+        STREAM_RATE,
+        "LowCmd per second",
+        "Hz",
+        flag=(*PLAY_FLAG, "demo"),
+        advanced=True,
+        ge=50.0,
+        le=2000.0,
     )
     wait: float = setting(
         10.0,

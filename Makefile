@@ -11,7 +11,7 @@ help:
 	@echo "make test   install, then run the whole test suite"
 	@echo "make test-fast   the tests that need no DDS and are not slow"
 	@echo "make lint   ruff, mypy --strict, import contracts"
-	@echo "make docs   write docs/api.md and configs/sim.toml from the code"
+	@echo "make docs   write docs/api.md, configs/sim.toml and the man page from the code"
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
 
@@ -52,6 +52,7 @@ lint: $(VENV)/.dev
 docs: $(VENV)/.run
 	$(BIN)/python tools/make_api_docs.py
 	$(BIN)/python tools/make_sim_toml.py
+	$(BIN)/python tools/make_man_page.py
 
 lock:
 	$(PYTHON) -m pip install --quiet uv

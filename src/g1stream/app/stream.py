@@ -133,6 +133,9 @@ def _summarise(
     met = played.commands or played.states_used  # else the file says nothing about a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
+    from g1stream.analysis.tracking import errors_of_run
+
+    followed = errors_of_run(report.error, planned.played)
     return summarise_run(
         planned.config,
         motion=MotionInfo.from_motion(planned.motion),
@@ -145,6 +148,7 @@ def _summarise(
         ),
         stream=played,
         recorder=recording,
+        tracking=followed.summary() if followed else None,
     )
 
 
@@ -275,6 +279,9 @@ def _diagnose(
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.subscribers())
     where = planned.config.dds
+    from g1stream.doctor.inspection import search_elsewhere
+
+    wire = search_elsewhere(wire, where.domain, where.interface)
     findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)

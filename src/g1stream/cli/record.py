@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import logging
-import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import LiveCommand, announce_wire, exit_code, on_signals, print_summary
+from g1stream.cli.command import (
+    LiveCommand,
+    announce_wire,
+    exit_code,
+    on_signals,
+    print_note,
+    print_summary,
+)
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.errors import ConfigError
@@ -64,7 +70,7 @@ class Record(LiveCommand):
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
-            print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
+            print_note(f"Recording {self.file}. Ctrl-C ends it.")
 
         with ExitStack() as stack:
             # Ctrl-C ends a server that does not start.

@@ -128,13 +128,12 @@ def _summarise(
     """How it went: from the file, if there is one, else what the loop counted."""
     from g1stream.analysis.summarise import summarise_run
     from g1stream.analysis.summary import Termination
+    from g1stream.analysis.tracking import errors_of_run
     from g1stream.app.session import open_session
 
     met = played.commands or played.states_used  # else the file says nothing about a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
-    from g1stream.analysis.tracking import errors_of_run
-
     followed = errors_of_run(report.error, planned.played)
     return summarise_run(
         planned.config,
@@ -265,7 +264,7 @@ def _diagnose(
 ) -> list[Finding]:
     """Why there was no robot to play on; also logged, so that it is in the recording."""
     from g1stream.doctor.findings import explain_no_robot
-    from g1stream.doctor.inspection import inspect_participant
+    from g1stream.doctor.inspection import inspect_participant, search_elsewhere
 
     waited = "stream.wait" in report.reason
     if report.commands or not waited or (report.states and link.subscribers()):
@@ -277,10 +276,8 @@ def _diagnose(
     # The loop has listened for longer. Subscribers are counted only now, so that one that has
     # appeared in the meantime counts as matched.
     state = replace(wire.state, received=wire.state.received or report.states)
-    wire = replace(wire, state=state, commands_matched=link.subscribers())
     where = planned.config.dds
-    from g1stream.doctor.inspection import search_elsewhere
-
+    wire = replace(wire, state=state, commands_matched=link.subscribers())
     wire = search_elsewhere(wire, where.domain, where.interface)
     findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
     for finding in findings:

@@ -18,7 +18,7 @@ _HEAD = """\
 # Every setting, with its default: what g1stream does without any config file.
 # Copy what you want to change; what a file leaves out keeps its default, and flags go over it.
 # Settings that are unset by default are commented out.
-# Made by tools/make_sim_toml.py from g1stream/settings.py; edit the settings there.
+# Made by tools/make_sim_toml.py from g1stream/config.py; edit the settings there.
 """
 
 

@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: formulas as MathML, tables of records, links to files outside of docs/.
+"""Hooks of MkDocs: formulas as MathML, tables of records, files from outside of docs/.
 
 mkdocs.yml names this file. A formula needs no script in the browser, so that the site works without
 a network.
@@ -9,28 +9,50 @@ from __future__ import annotations
 import html
 import re
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
 from pydantic import BaseModel
 
+ROOT = Path(__file__).parents[1]
+#: Files outside of docs/ that have a page, and the page.
+PAGES = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "SECURITY.md": "security.md",
+}
 _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL
 )
 _FIELDS = re.compile(r"^\{\{ fields (\S+) \}\}$", re.MULTILINE)
-_ABOVE = re.compile(r"\[([^\]]+)\]\(\.\./(?!docs/)([^)]+)\)")
+_FILE = re.compile(r"^\{\{ file (\S+) \}\}$", re.MULTILINE)
+_LINK = re.compile(r"\[([^\]]+)\]\(([^)#:]+)(#[^)]*)?\)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put a table in place of `{{ fields g1stream.MotionRow }}`, a path in place of a link."""
+    """Put what they name in place of `{{ fields g1stream.MotionRow }}` and `{{ file README.md }}`."""
     markdown = _FIELDS.sub(lambda match: _fields(match[1]), markdown)
-    # The site holds docs/ only. On a forge, these links lead to the file.
-    return _ABOVE.sub(lambda match: f"`{match[2]}`", markdown)
+    markdown = _FILE.sub(lambda match: _file(match[1]), markdown)
+    # The site holds docs/ only. Links to other files are for a forge; here they become the path.
+    return re.sub(r"(?<!!)\[[^\]]+\]\(\.\./([^)]+)\)", r"`\1`", markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
     """Make MathML of the formulas of a page."""
     return _FORMULA.sub(_mathml, content)
+
+
+def _file(name: str) -> str:
+    """A file of the repository's root, with its links as they are from docs/."""
+
+    def moved(match: re.Match[str]) -> str:
+        text, target, anchor = match[1], match[2], match[3] or ""
+        path = target.removeprefix("docs/") if target.startswith("docs/") else PAGES.get(target)
+        return f"[{text}]({path or '../' + target}{anchor})"
+
+    return _LINK.sub(moved, (ROOT / name).read_text(encoding="utf-8"))
 
 
 def _mathml(match: re.Match[str]) -> str:

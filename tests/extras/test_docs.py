@@ -36,10 +36,11 @@ def python_of(page: str) -> list[str]:
 
 
 def commands_of(page: str) -> list[list[str]]:
-    """The words of each command line of g1stream in blocks of code, but synopses with brackets."""
+    """The words of each command of g1stream in code and in tables, but synopses with brackets."""
     text = re.sub(r"\\\n\s*", "", PAGES[page])
-    lines = re.findall(r"^ *(?:uvx [^\n]* )?(g1stream [a-z][^\n]*)$", text, flags=re.MULTILINE)
-    lines += re.findall(r"^\| `(g1stream [a-z][^`\n]*)` \|", text, flags=re.MULTILINE)
+    code = [*re.findall(r"^    .*$", text, re.MULTILINE), *re.findall(r"^```[^`]*^```", text, re.M)]
+    lines = re.findall(r"^ *(?:uvx .* )?(g1stream [a-z].*)$", "\n".join(code), re.MULTILINE)
+    lines += re.findall(r"^\| `(g1stream [a-z][^`\n]*)` \|", text, re.MULTILINE)
     found = []
     for line in lines:
         words = shlex.split(line.partition(" && ")[0], comments=True)

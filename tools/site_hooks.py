@@ -7,6 +7,7 @@ a network.
 from __future__ import annotations
 
 import html
+import json
 import re
 from importlib import import_module
 from pathlib import Path
@@ -28,11 +29,13 @@ _FORMULA = re.compile(
 )
 _FIELDS = re.compile(r"^\{\{ fields (\S+) \}\}$", re.MULTILINE)
 _FILE = re.compile(r"^\{\{ file (\S+) \}\}$", re.MULTILINE)
+_NOTEBOOK = re.compile(r"^\{\{ notebook (\S+) \}\}$", re.MULTILINE)
 _LINK = re.compile(r"\[([^\]]+)\]\(([^)#:]+)(#[^)]*)?\)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put what they name in place of `{{ fields g1stream.MotionRow }}` and `{{ file README.md }}`."""
+    """Put a table, file or notebook in place of `{{ fields ... }}`, `{{ file ... }}` and so on."""
+    markdown = _NOTEBOOK.sub(lambda match: _notebook(match[1]), markdown)
     markdown = _FIELDS.sub(lambda match: _fields(match[1]), markdown)
     markdown = _FILE.sub(lambda match: _file(match[1]), markdown)
     # The site holds docs/ only. Links to other files are for a forge; here they become the path.
@@ -53,6 +56,24 @@ def _file(name: str) -> str:
         return f"[{text}]({path or '../' + target}{anchor})"
 
     return _LINK.sub(moved, (ROOT / name).read_text(encoding="utf-8"))
+
+
+def _notebook(name: str) -> str:
+    """The cells of a notebook and their outputs: text, pictures and videos."""
+    parts: list[str] = []
+    for cell in json.loads((ROOT / name).read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "text" in output:
+                parts.append(f"```text\n{''.join(output['text']).rstrip()}\n```")
+            elif "image/png" in data:
+                picture = "".join(data["image/png"]).replace("\n", "")
+                parts.append(f'<img alt="output" src="data:image/png;base64,{picture}">')
+            elif "text/html" in data:
+                parts.append("".join(data["text/html"]))
+    return "\n\n".join(parts)
 
 
 def _mathml(match: re.Match[str]) -> str:

@@ -38,6 +38,8 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     markdown = _NOTEBOOK.sub(lambda match: _notebook(match[1]), markdown)
     markdown = _FIELDS.sub(lambda match: _fields(match[1]), markdown)
     markdown = _FILE.sub(lambda match: _file(match[1]), markdown)
+    # Comments behind commands are aligned in the source; a page has less room.
+    markdown = re.sub(r"^((?:    )?\S.*?) {3,}# ", r"\1  # ", markdown, flags=re.MULTILINE)
     # The site holds docs/ only. Links to other files are for a forge; here they become the path.
     return re.sub(r"(?<!!)\[[^\]]+\]\(\.\./([^)]+)\)", r"`\1`", markdown)
 

@@ -64,6 +64,10 @@ def test_the_commands_of_a_page_have_these_flags(page):
             parse_flags(load_command(name), name, "", arguments)
 
 
+def test_the_page_of_commands_has_every_command():
+    assert {name for name, *_ in commands_of("docs/commands.md")} == set(COMMANDS)
+
+
 def test_a_command_with_an_unknown_flag_would_be_found(monkeypatch):
     monkeypatch.setitem(PAGES, "new", "    g1stream stream a.csv --rcord b.mcap    # record\n")
     ((name, *arguments),) = commands_of("new")

@@ -5,8 +5,10 @@
     python benchmarks/recorder.py --limit             the rate at which it begins to lose
     python benchmarks/recorder.py --kill 100          SIGKILL at random moments
 
-LowCmd, LowState and Reference come at the same rate each, while a process that does nothing but
-count keeps a core busy. CPU time is that of the whole recording process, in percent of one core.
+LowCmd, LowState and Reference come at the same rate each, from a process with the priority of a
+loop, while others that do nothing but count keep the CPUs busy. CPU time and memory are those of
+the recorder and of the processes that it started. Latency is from the stamp that the three samples
+of a tick share until one is received; "written" is how long the publisher took to write all three.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,14 +54,14 @@ def load_command(domain: int, rate: float, seconds: float) -> list[str]:
 
 
 def run(
-    recorder: list[str], path: Path, domain: int, rate: float, seconds: float
+    recorder: list[str], path: Path, domain: int, rate: float, seconds: float, busy: int
 ) -> dict[str, Any]:
     """Record a load; CPU and memory of the recorder, what it says and what was sent."""
-    with (
-        process([sys.executable, "-c", BUSY]),
-        process([*recorder, str(path), f"--domain={domain}"]) as recording,
-        process(load_command(domain, rate, seconds)) as load,
-    ):
+    with ExitStack() as stack:
+        for _ in range(busy):
+            stack.enter_context(process([sys.executable, "-c", BUSY]))
+        recording = stack.enter_context(process([*recorder, str(path), f"--domain={domain}"]))
+        load = stack.enter_context(process(load_command(domain, rate, seconds)))
         time.sleep(WARM)
         start, cpu = time.monotonic(), cpu_seconds(recording.pid)
         memory = resident_mb(recording.pid)
@@ -80,10 +82,10 @@ def run(
         }
 
 
-def measure(domain: int, rate: float, seconds: float, directory: Path) -> dict[str, Any]:
+def measure(domain: int, rate: float, seconds: float, busy: int, directory: Path) -> dict[str, Any]:
     """Ours at a rate: lost, told, CPU, memory, exactness."""
     path = directory / f"ours-{rate:g}.mcap"
-    done = run([*OURS, "--json"], path, domain, rate, seconds)
+    done = run([*OURS, "--json"], path, domain, rate, seconds, busy)
     found = check(path, done["sent"])
     path.unlink()
     return {
@@ -100,14 +102,17 @@ def measure(domain: int, rate: float, seconds: float, directory: Path) -> dict[s
         "memory_mb": done["memory_mb"],
         "memory_grown_mb": done["memory_grown_mb"],
         "latency_us": found.latency_us,
+        "written_us": dict(zip(found.latency_us, done["sent"]["written_us"], strict=True)),
         "file_mb": found.size_mb,
     }
 
 
-def measure_plain(domain: int, rate: float, seconds: float, directory: Path) -> dict[str, Any]:
+def measure_plain(
+    domain: int, rate: float, seconds: float, busy: int, directory: Path
+) -> dict[str, Any]:
     """The plain recorder at a rate."""
     path = directory / "plain.mcap"
-    done = run(PLAIN, path, domain, rate, seconds)
+    done = run(PLAIN, path, domain, rate, seconds, busy)
     sent, recorded = 3 * done["sent"]["sent"], done["said"]["recorded"]
     path.unlink()
     return {
@@ -131,6 +136,9 @@ def print_row(name: str, row: dict[str, Any]) -> None:
         f"{row.get('memory_mb', 0):>7.1f} {row.get('memory_grown_mb', 0):>6.1f} "
         + " ".join(f"{latency.get(p, 0):>7.0f}" for p in ("p50", "p99", "p99.9"))
     )
+    if written := row.get("written_us"):
+        values = " ".join(f"{written[p]:>7.0f}" for p in ("p50", "p99", "p99.9"))
+        print(f"{'  written':<67}{values}")
 
 
 def main() -> None:
@@ -138,11 +146,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=1000.0, help="Hz, of each topic")
     parser.add_argument("--domain", type=int, default=97)
+    parser.add_argument("--busy", type=int, default=1, help="processes that keep the CPUs busy")
     parser.add_argument("--limit", action="store_true", help="double the rate until it loses")
     parser.add_argument("--kill", type=int, default=0, metavar="N")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    domain, seconds = arguments.domain, arguments.seconds
+    domain, seconds, busy = arguments.domain, arguments.seconds, arguments.busy
     result: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
@@ -150,10 +159,11 @@ def main() -> None:
             with process(load_command(domain, arguments.rate, 1e6)):
                 result = kill_at_random(OURS, directory, domain, arguments.kill)
         else:
-            rows = [measure(domain, arguments.rate, seconds, directory)]
+            rows = [measure(domain, arguments.rate, seconds, busy, directory)]
             while arguments.limit and not rows[-1]["lost"] and rows[-1]["rate_hz"] < 16_000:
-                rows.append(measure(domain, 2 * rows[-1]["rate_hz"], min(seconds, 10), directory))
-            plain = measure_plain(domain, arguments.rate, min(seconds, 20.0), directory)
+                rate = 2 * rows[-1]["rate_hz"]
+                rows.append(measure(domain, rate, min(seconds, 10), busy, directory))
+            plain = measure_plain(domain, arguments.rate, min(seconds, 20.0), busy, directory)
             result = {
                 **rows[0],
                 "cpu_ratio": per_sample(plain) / per_sample(rows[0]),

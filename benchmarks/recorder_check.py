@@ -55,18 +55,33 @@ def check(path: Path, sent: dict[str, Any]) -> Found:
     return Found(lost, exact, latency, path.stat().st_size / 1e6)
 
 
+def processes(pid: int) -> list[int]:
+    """A process and those that it started."""
+    started = [
+        int(child)
+        for task in Path(f"/proc/{pid}/task").glob("*/children")
+        for child in task.read_text().split()
+    ]
+    return [pid, *(one for child in started for one in processes(child))]
+
+
 def cpu_seconds(pid: int) -> float:
-    """User and system time of a process so far, of all its threads."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
+    """User and system time so far of a process and those that it started."""
+    used = 0
+    for one in processes(pid):
+        fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
+        used += int(fields[11]) + int(fields[12])
+    return used / TICKS
 
 
 def resident_mb(pid: int) -> float:
-    """Memory that a process holds."""
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1024
-    return 0.0
+    """Memory that a process and those that it started hold, shared pages once for each."""
+    held = 0
+    for one in processes(pid):
+        for line in Path(f"/proc/{one}/status").read_text().splitlines():
+            if line.startswith("VmRSS:"):
+                held += int(line.split()[1])
+    return held / 1024
 
 
 def kill_at_random(recorder: list[str], directory: Path, domain: int, times: int) -> dict[str, Any]:

@@ -11,15 +11,19 @@ import hashlib
 import json
 import signal
 import time
+from contextlib import ExitStack
 
 import numpy as np
 
 from g1stream.clock import SystemClock
+from g1stream.config import RealtimeConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
+from g1stream.realtime import on_time
 
 TABLE = 4096
+PERCENTILES = (50, 99, 99.9)
 MATCH_WITHIN = 15_000_000_000
 
 
@@ -38,7 +42,7 @@ def main() -> None:
     clock, period = SystemClock(), round(1e9 / arguments.rate)
     # Noise in the low digits, as encoders have it: constants would compress to nothing.
     noise = np.random.default_rng(5).normal(0.0, 1e-4, (TABLE, 29))
-    with Participant(arguments.domain, "lo") as participant:
+    with Participant(arguments.domain, "lo") as participant, ExitStack() as stack:
         writers = [RawWriter(participant, topic, 64) for topic in (LOWCMD, LOWSTATE, REFERENCE)]
         digests = [hashlib.sha256() for _ in writers]
         patience = clock.now() + MATCH_WITHIN
@@ -47,7 +51,10 @@ def main() -> None:
                 raise SystemExit("nobody records")
             time.sleep(0.01)
         time.sleep(0.5)
+        # As a loop on a robot: else the delays are those of this process.
+        stack.enter_context(on_time(RealtimeConfig().priority))
         start, tick, behind = clock.now(), 0, 0
+        written = []  # from the stamp until the last sample was written, ns
         while tick * period < arguments.seconds * 1e9 and not stopped:
             clock.sleep_until(start + tick * period)
             behind = max(behind, clock.now() - start - tick * period)
@@ -59,8 +66,10 @@ def main() -> None:
             state.q[:], state.dq[:], state.tau_est[:] = wave + row, 3.0 * wave + row, 1e3 * row
             stamp = clock.stamp()
             samples = (command.seal(), state.seal(), reference.tobytes())
-            for writer, digest, data in zip(writers, digests, samples, strict=True):
+            for writer, data in zip(writers, samples, strict=True):
                 writer.write(data, stamp)
+            written.append(clock.stamp() - stamp)
+            for digest, data in zip(digests, samples, strict=True):
                 digest.update(data)
             tick += 1
         time.sleep(0.5)
@@ -71,6 +80,7 @@ def main() -> None:
                 "sent": tick,
                 "rate_hz": tick / elapsed,
                 "worst_lateness_s": behind / 1e9,
+                "written_us": [float(p) / 1e3 for p in np.percentile(written, PERCENTILES)],
                 "dropped": sum(writer.dropped for writer in writers),
                 "sha256": {
                     topic: digest.hexdigest()

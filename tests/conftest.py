@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import runpy
+import signal
 import socket
 import subprocess
 import sys
@@ -268,3 +269,28 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.alone)
         if {"integration", "faults"} & set(item.path.parts):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def stranger() -> Iterator[Callable[..., int]]:
+    """Start a program that is no child of this process; gives its pid once it says so.
+
+    It runs until the end of the test. `prefix` is what it is started with, such as `unshare`.
+    """
+    pids, shells = [], []
+
+    def start(code: str, *prefix: str) -> int:
+        ended = "import os, sys, time\nprint(os.getpid(), flush=True)\ntime.sleep(60)"
+        command = [*prefix, sys.executable, "-c", f"{code}\n{ended}"]
+        shell = subprocess.Popen(
+            ["sh", "-c", '"$@"; true', "sh", *command], stdout=subprocess.PIPE, text=True
+        )
+        shells.append(shell)
+        pids.append(int(shell.stdout.readline()))
+        return pids[-1]
+
+    yield start
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+    for shell in shells:
+        shell.communicate()

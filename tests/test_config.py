@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from g1stream.config import SHIPPED, Config, load_config, settings
 from g1stream.control.lowstate import STATE_TIMEOUT
-from g1stream.control.plan import for_wire
+from g1stream.control.wire_settings import for_wire
 from g1stream.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]

@@ -44,6 +44,7 @@ __all__ = [
 #: Modules of the programs that are not in `g1stream.app`.
 _ELSEWHERE: Final = {
     "guard": "g1stream.control.guard",
+    "receiver": "g1stream.recorder.receiver",
     "ros2": "g1stream.extras.ros2.topics",
 }
 
@@ -140,6 +141,10 @@ class Child:
     def alive(self) -> bool:
         return self._process.poll() is None
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def wait_until_ready(
         self, timeout: float = 20.0, abandoned: Callable[[], bool] = _never
     ) -> None:
@@ -178,10 +183,14 @@ class Child:
             self.kill()
         return self._result
 
-    def kill(self) -> None:
-        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL."""
+    def kill(self, *, at_once: bool = False) -> None:
+        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL.
+
+        Args:
+            at_once: by SIGKILL in any case.
+        """
         self._finishing = True
-        if process_state(self._process.pid) in ("T", "t"):
+        if at_once or process_state(self._process.pid) in ("T", "t"):
             self._process.kill()
         self._process.terminate()
         try:

@@ -86,6 +86,8 @@ def setting(
     unit: str = "",
     *,
     flag: tuple[str, ...] = (),
+    advanced: bool = False,
+    metavar: str = "",
     example: Any = None,
     **limits: Any,
 ) -> Any:
@@ -98,10 +100,12 @@ def setting(
         description: what it means, without its unit.
         unit: SI symbol, empty where it has none.
         flag: subcommands on which `--name` goes over the config file.
+        advanced: of these flags only --help-all shows it.
+        metavar: of its flag, where neither unit nor type says what a value is.
         example: a value to show where there is no default.
         limits: `ge`, `gt`, `le`, `lt` and the other limits that pydantic knows.
     """
-    about: Any = {"unit": unit, "flag": flag}
+    about: Any = {"unit": unit, "flag": flag, "advanced": advanced, "metavar": metavar}
     examples = None if example is None else [example]
     return Field(
         default, description=description, examples=examples, json_schema_extra=about, **limits
@@ -122,13 +126,18 @@ class DdsConfig(Table):
         1, "DDS domain; simulators use 1, the robot uses 0", flag=_DDS, ge=0, le=232
     )
     interface: str = setting(
-        "lo", "network interface; lo stays on this machine", flag=_DDS, min_length=1
+        "lo",
+        "network interface; lo stays on this machine",
+        flag=_DDS,
+        metavar="INTERFACE",
+        min_length=1,
     )
     ros_tf: bool = setting(
         False,
         "publish the measured robot and its ghost for ROS 2, record.tf_rate times a second: /tf, "
         "/joint_states and /robot_description",
         flag=_ROS,
+        advanced=True,
     )
 
 
@@ -136,7 +145,13 @@ class StreamConfig(Table):
     """How a motion is played."""
 
     rate: float = setting(
-        STREAM_RATE, "LowCmd per second", "Hz", flag=PLAY_FLAG, ge=50.0, le=2000.0
+        STREAM_RATE,
+        "LowCmd per second",
+        "Hz",
+        flag=(*PLAY_FLAG, "demo"),
+        advanced=True,
+        ge=50.0,
+        le=2000.0,
     )
     wait: float = setting(
         10.0,
@@ -151,6 +166,7 @@ class StreamConfig(Table):
         "least time from the measured pose to the first frame",
         "s",
         flag=PLAY_FLAG,
+        advanced=True,
         ge=0.2,
         le=60.0,
     )
@@ -167,7 +183,7 @@ class StreamConfig(Table):
     hold: float = setting(1.0, "time at the last frame", "s", ge=0.0, le=86_400.0)
     damp: float = setting(1.0, "time of damping at the end", "s", ge=0.5, le=10.0)
     start: float = setting(
-        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "physics"), ge=0.0
+        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "demo", "physics"), ge=0.0
     )
     duration: float | None = setting(
         None,
@@ -184,12 +200,14 @@ class StreamConfig(Table):
         "what is commanded; lowcmd: the motors; arm_sdk: the robot's own controller, which takes "
         "targets for arms and waist while it stands and balances",
         flag=PLAY_FLAG,
+        advanced=True,
     )
     joints: str | None = setting(
         None,
         "the joints that play the motion: limbs (arms, legs, left_arm, waist ...), names or "
         "patterns, separated by commas; all if unset",
         flag=(*PLAY_FLAG, "demo", "physics"),
+        metavar="JOINTS",
         example="arms,waist",
     )
     others: OtherJoints = setting(
@@ -197,6 +215,7 @@ class StreamConfig(Table):
         "what the other joints do; hold: keep the pose measured when the ramp begins; free: only "
         "damp, with their kd",
         flag=(*PLAY_FLAG, "demo"),
+        advanced=True,
     )
     beyond_limits: BeyondLimits = setting(
         "refuse",
@@ -211,6 +230,7 @@ class StreamConfig(Table):
         "unset, dynamics for a simulator on this machine that says how it holds the robot, and "
         "velocity otherwise",
         flag=(*PLAY_FLAG, "demo"),
+        advanced=True,
         example="velocity",
     )
     support: StreamSupport | None = setting(
@@ -226,6 +246,7 @@ class StreamConfig(Table):
         "ONNX file of a learned policy that plays the motion on the robot's own feet (extra "
         "`policy`, see `g1stream policy`)",
         flag=(*PLAY_FLAG, "demo"),
+        metavar="ONNX",
         example="policy.onnx",
     )
     stand: float = setting(
@@ -233,6 +254,7 @@ class StreamConfig(Table):
         "with a policy, how long the robot stands before and after the motion",
         "s",
         flag=(*PLAY_FLAG, "demo"),
+        advanced=True,
         ge=0.5,
         le=3600.0,
     )
@@ -242,6 +264,7 @@ class StreamConfig(Table):
         "stream begins; a fall there refuses it; 0 for none",
         "s",
         flag=PLAY_FLAG,
+        advanced=True,
         ge=0.0,
         le=60.0,
     )
@@ -250,6 +273,7 @@ class StreamConfig(Table):
         "allow --support feet on other interfaces than loopback, where there may be a robot; it "
         "has been tried in simulators only",
         flag=("stream",),
+        advanced=True,
     )
     preview: float | None = setting(
         None,
@@ -353,12 +377,14 @@ class RecordConfig(Table):
         "what is recorded beside samples and log; raw: nothing; standard: what viewers show, at "
         "record.tf_rate; full: joint states and their errors at every sample",
         flag=(*_RECORD, "demo"),
+        advanced=True,
     )
     meshes: bool = setting(
         False,
         "scenes have the meshes of the URDF or, if it has none, of the real G1, with fewer "
         "triangles, instead of primitive shapes (extra `meshes`)",
         flag=(*_RECORD, "demo"),
+        advanced=True,
     )
     tf_rate: float = setting(
         100.0,
@@ -373,6 +399,7 @@ class RecordConfig(Table):
         "split the recording into parts of this size (NAME/NAME_0.mcap ...); one file if unset",
         "MB",
         flag=_RECORD,
+        advanced=True,
         example=1000.0,
         gt=0.0,
     )
@@ -381,27 +408,34 @@ class RecordConfig(Table):
         "split the recording into parts of this duration; one file if unset",
         "s",
         flag=_RECORD,
+        advanced=True,
         example=600.0,
         gt=0.0,
     )
-    auto_name: bool = setting(False, "put the time, UTC, into the file's name", flag=_RECORD)
+    auto_name: bool = setting(
+        False, "put the time, UTC, into the file's name", flag=_RECORD, advanced=True
+    )
 
 
 class SimConfig(Table):
     """How the MuJoCo bridge holds the robot and answers."""
 
-    support: Support = setting(
+    support: StreamSupport = setting(
         "bolted",
         "what holds the pelvis; bolted: the world; hanging: an elastic band at the torso; "
-        "follow: the reference that is streamed; free: nothing, once the motion begins",
+        "follow: the reference that is streamed; free: nothing, once the motion begins; feet: as "
+        "free, and a demo or rollout keeps the robot on its feet (extra `feet`)",
         flag=("sim", "demo"),
     )
     self_collision: bool = setting(
         True,
         "links of the robot collide with each other, as convex hulls of their meshes",
         flag=("sim", "demo"),
+        advanced=True,
     )
-    rate: float = setting(500.0, "LowState per second", "Hz", flag=("sim",), ge=50.0, le=1000.0)
+    rate: float = setting(
+        500.0, "LowState per second", "Hz", flag=("sim",), advanced=True, ge=50.0, le=1000.0
+    )
     command_timeout: float = setting(
         0.5,
         "time without a LowCmd after which the motors only damp; 0: never",
@@ -415,6 +449,7 @@ class SimConfig(Table):
         "takes it for a queue",
         "s",
         flag=("sim", "demo"),
+        advanced=True,
         ge=0.0,
         le=1.0,
     )
@@ -424,6 +459,7 @@ class SimConfig(Table):
         "the joints, 0.01 rad/s, 0.1 m/s² and 1 mrad of attitude for the IMU; the same in every "
         "rollout with the same sim.seed",
         flag=("sim", "demo"),
+        advanced=True,
         ge=0.0,
         le=100.0,
     )
@@ -433,6 +469,7 @@ class SimConfig(Table):
         "holds it, as in the training of policies; 0: no pushes",
         "m/s",
         flag=("sim", "demo"),
+        advanced=True,
         ge=0.0,
         le=5.0,
     )
@@ -440,6 +477,7 @@ class SimConfig(Table):
         0,
         "of the random numbers of sensor noise and pushes",
         flag=("sim", "demo"),
+        advanced=True,
         ge=0,
         le=999_999,
     )
@@ -456,9 +494,15 @@ class SimConfig(Table):
         "mode of the motion service that is active from the start: a controller of the robot's own "
         "that holds the pose, until it is released; none if unset",
         flag=("sim",),
+        advanced=True,
         example="ai",
     )
     viewer: bool = setting(False, "open MuJoCo's viewer", flag=("sim", "demo"))
+
+    @property
+    def held_by(self) -> Support:
+        """What holds the pelvis in the simulator."""
+        return "free" if self.support == "feet" else self.support
 
 
 class SafetyConfig(Table):
@@ -584,6 +628,8 @@ class SafetyConfig(Table):
         "button of the robot's remote that has to be held: the robot moves only meanwhile, and is "
         "damped when it is released",
         flag=PLAY_FLAG,
+        advanced=True,
+        metavar="BUTTON",
         example="R1",
     )
     guard: bool = setting(
@@ -591,18 +637,22 @@ class SafetyConfig(Table):
         "a guard process damps where the stream is killed, stopped or hangs; false is refused but "
         "on the loopback interface",
     )
-    require_record: bool = setting(False, "damp and end when the recording fails", flag=PLAY_FLAG)
+    require_record: bool = setting(
+        False, "damp and end when the recording fails", flag=PLAY_FLAG, advanced=True
+    )
     urdf_limits: bool = setting(
         False,
         "take a URDF's joint limits as they are, also where they are wider than those of the "
         "robots in this package; dangerous",
         flag=(*PLAY_FLAG, "motion", "physics"),
+        advanced=True,
     )
     allow_second_writer: bool = setting(
         False,
         "play although another publisher is on rt/lowcmd, or with stream.via = arm_sdk on "
         "rt/arm_sdk; dangerous",
         flag=PLAY_FLAG,
+        advanced=True,
     )
 
 
@@ -615,10 +665,11 @@ class Config(Table):
 
     robot: Path | None = setting(
         None,
-        "revision g1_29dof_rev_1_0 or g1_29dof (which unitree_mujoco simulates), a G1 with fewer "
-        "joints (g1_23dof, g1_29dof_lock_waist, g1_dual_arm), or a URDF file of the robot; if "
-        "unset, g1_29dof_rev_1_0, and for feed-forward the revision that fits better",
+        "the robot: g1_29dof_rev_1_0, g1_29dof (which unitree_mujoco simulates), g1_23dof, "
+        "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0, and for "
+        "feed-forward the one of the first two that fits better",
         flag=ROBOT_FLAG,
+        metavar="NAME_OR_URDF",
         example="g1_29dof",
         strict=False,
     )
@@ -627,11 +678,17 @@ class Config(Table):
         "file of parameters of the robot, as `g1stream fit` writes it: friction, armature, delay, "
         "torque and masses, for the simulator and for the torque of the feed-forward",
         flag=_PARAMS,
+        advanced=True,
         example="g1.toml",
         strict=False,
     )
     live_port: int = setting(
-        8765, "port of the WebSocket server of --live", flag=LIVE_FLAG, ge=1, le=65535
+        8765,
+        "port of the WebSocket server of --live",
+        flag=LIVE_FLAG,
+        advanced=True,
+        ge=1,
+        le=65535,
     )
     dds: DdsConfig = DdsConfig()
     stream: StreamConfig = StreamConfig()

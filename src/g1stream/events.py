@@ -7,6 +7,7 @@ records go: to DDS, into the session file, onto the terminal.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from contextlib import contextmanager, suppress
 from logging.handlers import QueueHandler, QueueListener
@@ -19,7 +20,7 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["GUARD", "ConsoleHandler", "handled_by", "severity"]
+__all__ = ["GUARD", "QUIET", "ConsoleHandler", "handled_by", "is_quiet", "severity"]
 
 GUARD: Final = "guard"
 """The guard process logs under this name, and only when it damps."""
@@ -79,16 +80,26 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
             thread.join(_HANDLING_TIMEOUT_S)
 
 
+QUIET: Final = "G1STREAM_QUIET"
+"""The environment variable that keeps all but warnings and errors off the terminal, also in child
+processes."""
+
+
+def is_quiet() -> bool:
+    """Whether only warnings and errors are to be printed."""
+    return bool(os.environ.get(QUIET))
+
+
 class ConsoleHandler(logging.Handler):
     """Prints events on standard error, a line each.
 
     Args:
-        level: events of this level and above.
+        level: events of this level and above; if `is_quiet`, warnings at least.
         program: printed before each, where several programs share a terminal.
     """
 
     def __init__(self, level: int = logging.INFO, program: str = "") -> None:
-        super().__init__(level)
+        super().__init__(max(level, logging.WARNING) if is_quiet() else level)
         self._prefix = f"{program}: " if program else ""
 
     def emit(self, record: logging.LogRecord) -> None:

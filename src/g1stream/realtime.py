@@ -27,7 +27,6 @@ __all__ = [
     "describe",
     "lower_priority",
     "on_time",
-    "quick_thread_switches",
 ]
 
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
@@ -76,7 +75,7 @@ def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
     gc.freeze()
     gc.disable()
     try:
-        with quick_thread_switches(), _linux_thread(priority, cpu) as grants:
+        with _quick_thread_switches(), _linux_thread(priority, cpu) as grants:
             yield [*grants, Grant("garbage collector", granted=True, detail="frozen")]
     finally:
         if collecting:
@@ -85,7 +84,7 @@ def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
 
 
 @contextmanager
-def quick_thread_switches() -> Iterator[None]:
+def _quick_thread_switches() -> Iterator[None]:
     """Switch threads after 0.1 ms, and not after CPython's 5 ms, during a `with`."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(_SWITCH_INTERVAL, before))

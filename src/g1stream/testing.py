@@ -167,6 +167,7 @@ class FakeLink:
         if data is None:
             return None
         state.load(data)
+        state.published = state.received = self._clock.stamp()
         return self.publisher
 
     def state_publishers(self) -> list[str]:

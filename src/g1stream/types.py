@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
+    "MAX_GAP_NS",
     "STREAM_RATE",
     "BeyondLimits",
     "Camera",
@@ -67,6 +68,9 @@ at `record.tf_rate`; the same with the joint states of every sample."""
 
 Camera = Literal["front", "oblique", "left", "back", "right"]
 """Where the camera of a video stands around the robot."""
+
+MAX_GAP_NS: Final = 100_000_000
+"""Samples further apart than this, ns, say nothing of the time between them."""
 
 STREAM_RATE: Final = 500.0
 """LowCmds per second unless `stream.rate` is set, Hz."""

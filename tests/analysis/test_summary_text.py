@@ -158,6 +158,7 @@ CASES = {
             motion_s=14.0,
         ),
         tracking=with_delay(None, excluded_states=0),
+        topics={"/scene": MessageStats(count=1)},
         feedforward_log=["dynamics of a robot that is held bolted"],
         problems=[f"problem {i}" for i in range(14)],
     ),
@@ -229,6 +230,15 @@ CASES = {
         termination=Termination(reason="", played_s=12.0, motion_s=14.0, start_s=2.0)
     ),
     "a part": Summary(termination=Termination(reason="", played_s=6.0, motion_s=14.0, start_s=2.0)),
+    "a part of a part": Summary(
+        termination=Termination(reason="SIGINT", played_s=2.0, motion_s=14.0, start_s=2.0),
+        settings={"stream.duration": 6.0},
+    ),
+    "nothing played": Summary(
+        termination=Termination(reason="no LowState received", played_s=0.0, motion_s=14.0),
+        settings={"stream.duration": 3.0},
+    ),
+    "not recorded": Summary(tracking=with_delay(None), stream=STREAM),
     "looped": Summary(termination=Termination(reason="", played_s=30.0, motion_s=14.0)),
     "nothing known of the end": Summary(termination=Termination(played_s=30.0, motion_s=14.0)),
     "nothing": Summary(),

@@ -5,8 +5,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.interpolate import make_interp_spline
+from scipy.special import stdtrit
 
-from g1stream.analysis.tracking import compare, pooled
+from g1stream.analysis.tracking import _t_975, compare, pooled
 from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
@@ -16,6 +17,12 @@ from g1stream.types import Phase
 STRAIGHT = 0.002**2 / 8 * 0.6 * (2 * np.pi * 1.25) ** 2
 
 SAG = np.linspace(-0.2, 0.1, 29)
+
+
+def test_the_quantile_of_a_confidence_interval():
+    freedom = np.arange(4, 1000)
+    quantiles = [_t_975(int(one)) for one in freedom]
+    np.testing.assert_allclose(quantiles, stdtrit(freedom, 0.975), rtol=4e-4)
 
 
 def test_the_rmse_of_a_robot_that_is_late(play, motion):

@@ -12,7 +12,8 @@ from g1stream.app.replay import replay
 from g1stream.app.sim import simulate
 from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
-from g1stream.control.plan import for_wire, plan, with_robot_limits
+from g1stream.control.plan import plan
+from g1stream.control.wire_settings import for_wire, with_robot_limits
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState

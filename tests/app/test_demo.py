@@ -54,3 +54,30 @@ def test_it_avoids_domains_that_are_taken_unless_one_is_asked_for(monkeypatch, g
     else:
         with pytest.raises(WireError, match="unitree_mujoco"):
             program._with_free_domain(config)
+
+
+@pytest.mark.parametrize("table", ["sim", "stream"])
+def test_on_its_feet_nothing_holds_the_robot(tmp_path, monkeypatch, table):
+    started = []
+    monkeypatch.setattr(program, "Child", lambda *given: started.append(given) or 1 / 0)
+    config = Config.model_validate({table: {"support": "feet"}})
+    played = program._on_its_feet(config)
+    assert (played.sim.support, played.stream.support) == ("free", "feet")
+    with pytest.raises(ZeroDivisionError):
+        program.demo("demo", tmp_path, config)
+    assert [given[1].sim.support for given in started] == ["free"]
+
+
+@pytest.mark.parametrize("support", [None, "free", "feet"])
+def test_a_policy_balances_by_itself(support):
+    sim = {"support": support} if support else {}
+    config = Config.model_validate({"sim": sim, "stream": {"policy": "p.onnx"}})
+    played = program._on_its_feet(config)
+    assert (played.sim.support, played.stream.support) == ("free", None)
+
+
+@pytest.mark.parametrize("stream", [{"support": "feet"}, {"policy": "p.onnx"}])
+def test_a_robot_that_is_held_does_not_stand(tmp_path, stream):
+    config = Config.model_validate({"sim": {"support": "hanging"}, "stream": stream})
+    with pytest.raises(ConfigError, match="hanging"):
+        program.demo("demo", tmp_path, config)

@@ -14,6 +14,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowState
 from g1stream.errors import ConfigError, WireError
+from g1stream.recorder import recorder
 from g1stream.robot.model import G1
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.records import MotionInfo, SessionInfo
@@ -28,7 +29,7 @@ def config(domain_id):
 
 
 def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(program, "_MATCH_TIMEOUT", 0.2)
+    monkeypatch.setattr(recorder, "_MATCH_TIMEOUT", 0.2)
     ready = threading.Event()
     with pytest.raises(WireError, match="rt/lowcmd"):
         program.record(tmp_path / "s.mcap", config, session=SESSION, on_ready=ready.set)

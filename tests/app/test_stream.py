@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from g1stream.app import stream as program
 from g1stream.app.stream import stream
 from g1stream.child_process import Child, ChildError
-from g1stream.config import Config
+from g1stream.config import Config, DdsConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SECONDARY_IMU, LowState, SecondaryImu
-from g1stream.errors import RecordingError
+from g1stream.errors import MotionError, RecordingError
 
 
 @pytest.fixture
@@ -61,12 +62,32 @@ def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, confi
     assert ready or "norm 0.000" in summary.stream.reason
 
 
-def test_where_nobody_is_it_leads_to_the_doctor(domain_id, config):
-    summary = stream("demo", config)
+def test_where_nobody_is_it_says_where_to_look(claim_domain, config, monkeypatch, stranger):
+    """A robot in another domain is found, as by the doctor."""
+    monkeypatch.setattr("g1stream.doctor.inspection._DISCOVERY_S", 2.0)  # of a busy machine
+    here, there = claim_domain(), claim_domain()
+    stranger(
+        "from g1stream.dds.domain import Participant\n"
+        "from g1stream.dds.endpoints import RawWriter\n"
+        "from g1stream.dds.messages import LOWSTATE\n"
+        f"writer = RawWriter(Participant({there}, 'lo'), LOWSTATE)"
+    )
+    summary = stream("demo", config.model_copy(update={"dds": DdsConfig(domain=here)}))
     assert summary.stream.commands == 0
-    (finding,) = summary.stream.findings
-    assert finding.about == "publisher"
-    assert f"g1stream doctor --domain {domain_id} --interface lo" in finding.remedy
+    assert summary.tracking is None
+    remedies = [one.remedy for one in summary.stream.findings if one.about == "domain"]
+    assert f"Use --domain {there}." in remedies
+
+
+def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path):
+    """The guard has been started by then."""
+    with Participant(domain_id, "lo") as peer:
+        commands = RawReader(peer, LOWCMD)
+        with pytest.raises(MotionError):
+            stream(tmp_path / "none.csv", config)
+        assert not commands.take()
+    children = Path("/proc/self/task").glob("*/children")
+    assert not any(task.read_text() for task in children)
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
+from pathlib import Path
 
 import pytest
 
 from g1stream.cli.command import Command, announce_wire
-from g1stream.cli.flags import argument, flag, flag_name, parse_flags
+from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
@@ -88,7 +89,7 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
     [
         (["x", "--domian", "3"], "flag --domian", "--domain"),
         (["--domian=3"], "--domian", "--domain"),
-        (["x", "-q"], "-q", "--help"),
+        (["x", "-z"], "-z", "--help"),
         ([], "MOTION", "--help"),
         (["--arm"], "MOTION", "--help"),
         (["x", "--domain"], "--domain", "--help"),
@@ -168,3 +169,67 @@ def test_a_flag_may_be_repeated_among_arguments_of_any_number():
     assert command.sweep == ["gains.kp=1,2", "stream.rate=250"]
     assert (command.base, command.other) == (("motions",), ("x",))
     assert not parse_flags(Several, "several", "", ["motions", "--with", "x", "y"]).sweep
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advanced(Command):
+    """A command with a flag that few need."""
+
+    usual: float = flag(1.0, "Everybody's.")
+    special: Path | None = flag(None, "For a few.", advanced=True)
+
+
+def helped(kind, name, *arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse_flags(kind, name, "", arguments)
+    assert not ended.value.code
+    return capsys.readouterr().out
+
+
+def test_what_few_need_is_in_the_whole_help_only(capsys):
+    short = helped(Advanced, "advanced", "--help", capsys=capsys)
+    whole = helped(Advanced, "advanced", "--help-all", capsys=capsys)
+    assert "--usual NUMBER" in short
+    assert "--special" not in short
+    assert "Show 1 more flag" in short
+    assert "--special FILE" in whole
+    assert parse_flags(Advanced, "advanced", "", ["--special", "x"]).special == Path("x")
+
+
+def test_a_command_without_such_flags_has_one_help(capsys):
+    assert "--help-all" not in helped(Several, "several", "--help", capsys=capsys)
+
+
+def test_the_whole_help_has_every_setting_with_its_table(capsys):
+    whole = helped(Stream, "stream", "--help-all", capsys=capsys)
+    assert "[safety]" in whole
+    for key, setting in settings().items():
+        if "stream" in (setting.json_schema_extra or {}).get("flag", ()):
+            name = key.rpartition(".")[2]
+            assert flag_name(f"no_{name}" if setting.default is True else name) in whole
+
+
+@pytest.mark.parametrize("command", CLASSES)
+def test_a_help_fits_two_screens(command, capsys):
+    short = helped(CLASSES[command], command, "--help", capsys=capsys)
+    assert len(short.splitlines()) < 80
+    assert "[dds]" not in short
+
+
+def test_no_number_is_called_a_name():
+    found = {}
+    for command, kind in CLASSES.items():
+        parser = command_parser(kind, command, "")
+        found |= {action.dest: action.metavar for action in parser._actions}
+    assert found["sim.noise"] == "NUMBER"
+    assert found["sim.push"] == "M/S"
+    assert found["sim.seed"] == "N"
+    assert found["stream.duration"] == "SECONDS"
+    assert found["stream.rate"] == "HZ"
+    assert not {dest for dest, metavar in found.items() if metavar in ("S", "X", "NAME")}
+
+
+def test_the_simulator_of_a_robot_on_its_feet_holds_nothing():
+    config = resolved("sim", "--support", "feet")
+    assert (config.sim.support, config.sim.held_by) == ("feet", "free")
+    assert resolved("sim", "--support", "hanging").sim.held_by == "hanging"

@@ -114,6 +114,7 @@ OF_CORE = [name for name, row in COMMANDS.items() if not row.home.startswith("ex
 def test_help_has_examples_and_exit_codes_within_80_columns(command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     check_help(command, run(command, "--help"))
+    check_help(command, run(command, "--help-all"))
 
 
 def test_an_error_is_wrapped_on_a_terminal_only(capsys, monkeypatch):

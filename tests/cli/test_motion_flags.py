@@ -17,7 +17,7 @@ from g1stream.motion.readers import load_motion
 from g1stream.session.records import MotionInfo
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
-CHANGES = ["--trim", "1:5", "--mirror", "--on-floor", "--speed", "0.5"]
+CHANGES = ["--mirror", "--on-floor", "--speed", "0.5"]
 CHANGES += ["--repeat", "2", "--blend", "1", "--root", "fix"]
 
 
@@ -34,10 +34,10 @@ def demo() -> Motion:
 def test_every_change_is_made_and_named(name, demo):
     given = [] if name == "demo" else ["demo", "out.npz"]
     motion = parsed(name, *given, *CHANGES).load(["demo"])
-    part = demo.trim(1, 5).mirrored().on_floor().at_speed(0.5)
+    part = demo.mirrored().on_floor().at_speed(0.5)
     expected = part.looped(2, blend=1.0).fixed_root()
     assert motion.operations == expected.operations
-    assert len(motion.operations) == 6
+    assert len(motion.operations) == 5
     assert motion.content_sha256 == expected.content_sha256
 
 
@@ -74,19 +74,40 @@ def test_several_motions_become_one_file(tmp_path, demo):
 
 def test_what_was_done_is_in_the_metadata(tmp_path, demo):
     out = tmp_path / "out.mcap"
-    assert main(["convert", "demo", str(out), "--trim", "1:2", "--mirror"]) == 0
-    operations = ["trimmed to 1 to 2 s", "mirrored"]
+    assert main(["convert", "demo", str(out), "--start", "1", "--duration", "1", "--mirror"]) == 0
+    operations = ["mirrored", "trimmed to 1 to 2 s"]
     assert open_session(out).metadata["motion"]["operations"] == operations
-    assert MotionInfo.from_motion(demo.trim(1, 2).mirrored()).operations == operations
+    assert MotionInfo.from_motion(demo.mirrored().trim(1, 2)).operations == operations
 
 
-@pytest.mark.parametrize("trim", ["1", "a:b", "1:2:3"])
-def test_times_that_are_none(trim):
-    with pytest.raises(ConfigError, match="range of seconds"):
-        parsed("motion", "demo", "--trim", trim).load(["demo"])
+@pytest.mark.parametrize("name", ["motion", "convert"])
+@pytest.mark.parametrize(
+    ("flags", "start", "end"),
+    [
+        (("--start", "2"), 2, None),
+        (("--duration", "3"), 0, 3),
+        (("--start", "1", "--duration", "4"), 1, 5),
+        (("--start", "1", "--duration", "4", "--speed", "2", "--repeat", "2"), 1, 5),
+    ],
+)
+def test_a_part_of_the_whole_as_stream_plays_it(name, demo, flags, start, end):
+    """The part is that of the motion as it is played: after its speed and its repetition."""
+    whole = demo.at_speed(2.0).looped(2, blend=0.5) if "--speed" in flags else demo
+    motion = parsed(name, "demo", "out.npz", *flags).load(["demo"])
+    assert motion.content_sha256 == whole.trim(start, end).content_sha256
 
 
-@pytest.mark.parametrize("flags", [("--trim", "5:1"), ("--repeat", "2", "--blend", "-1")])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_flag_of_an_earlier_version_leads_to_the_new_ones(name):
+    with pytest.raises(ConfigError) as caught:
+        parsed(name, "demo", "--trim", "1:5")
+    assert "--trim" in caught.value.cause
+    assert "Use --start and --duration" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "flags", [("--start", "99"), ("--start", "-1"), ("--repeat", "2", "--blend", "-1")]
+)
 def test_changes_that_are_not_possible(flags):
     with pytest.raises(MotionError):
         parsed("motion", "demo", *flags).load(["demo"])
@@ -99,7 +120,7 @@ def test_a_motion_is_needed(name):
 
 
 def test_the_report_is_about_the_changed_motion(capsys):
-    assert main(["motion", "demo", "--trim", "1:3", "--mirror"]) == 0
+    assert main(["motion", "demo", "--start", "1", "--duration", "2", "--mirror"]) == 0
     text = capsys.readouterr().out
     assert "changed         trimmed to 1 to 3 s" in text
     assert "61 at 30 fps, 2.00 s" in text

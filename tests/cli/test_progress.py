@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from math import inf
 from types import SimpleNamespace
 
 import numpy as np
@@ -118,7 +119,12 @@ def played():
 
 
 def test_the_status_of_a_loop(played):
-    fraction, text = loop_status(played, SimpleNamespace(duration=24.0))
+    motion = SimpleNamespace(duration=24.0)
+    for part, fraction in (((3.0, 9.0), 0.5), ((9.0, 12.0), 0.0), ((0.0, inf), 0.25)):
+        played.part = part
+        assert loop_status(played, motion)[0] == fraction
+    played.part = 0.0, 24.0
+    fraction, text = loop_status(played, motion)
     assert fraction == 0.25
     first, second, third = text.split("\n")
     assert first.split() == ["PLAY", "6.00", "of", "24.00", "s"]

@@ -11,7 +11,8 @@ from g1stream.clock import Ticker
 from g1stream.config import load_config
 from g1stream.control.command import hand_back_commands
 from g1stream.control.loop import make_loop
-from g1stream.control.plan import for_wire, plan
+from g1stream.control.plan import plan
+from g1stream.control.wire_settings import for_wire
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
 from g1stream.types import Phase

@@ -2,6 +2,7 @@
 
 import gc
 import logging
+import math
 import sys
 from dataclasses import replace
 
@@ -47,6 +48,32 @@ def test_a_whole_session(make_loop, link, clock, events):
     assert report.rate == 500.0
     assert (report.first_stamp, report.last_stamp) == (link.sent[0].stamp, link.sent[-1].stamp)
     assert (report.lateness.n, report.lateness.maximum_ns) == (560, 0)
+
+
+def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, link):
+    link.robot.q[:] = np.linspace(-0.02, 0.02, 29)
+    report = make_loop().run()
+    played = np.array([sent.reference.q.copy() for sent in link.in_phase(Phase.PLAY)])
+    error, found = played - link.robot.q, report.error.sums
+    assert (found.n, report.error.excluded) == (PLAY, 0)
+    assert report.error.duration == PLAY * PERIOD
+    np.testing.assert_allclose(found.rmse, np.sqrt((error**2).mean(axis=0)), atol=1e-7)
+    np.testing.assert_allclose(found.max_abs, np.abs(error).max(axis=0), atol=1e-7)
+    np.testing.assert_allclose(found.max_abs_at, 0.002 * np.abs(error).argmax(axis=0))
+
+
+def test_the_part_that_is_played(make_loop, trajectory, timing):
+    targets = Targets(trajectory, start=0.1)
+    assert make_loop(targets=targets).part == (0.1, 0.6)
+    assert make_loop(targets=targets, timing=replace(timing, play=None)).part == (0.1, math.inf)
+
+
+def test_what_wait_waits_for_is_said_meanwhile(make_loop, link, clock, timing, events):
+    link.subscriber_count = 0
+    make_loop(timing=replace(timing, wait=8_500 * MS), where="domain 7 on lo").run()
+    told = [text for _, text in events() if text.startswith("WAIT, ")]
+    assert len(told) == 3  # after 1, 4 and 7 s
+    assert set(told) == {"WAIT, up to 8.5 s, in domain 7 on lo: no subscriber on rt/lowcmd"}
 
 
 def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):

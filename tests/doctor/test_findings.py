@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from g1stream.dds.local_participants import LocalParticipant
 from g1stream.doctor.facts import Interface, Level, Peer, Qos, StateFacts, WakeupLatency, WireFacts
 from g1stream.doctor.findings import evaluate, explain_no_robot, identify_publisher, qos_mismatch
 from g1stream.realtime import Grant
@@ -109,14 +110,22 @@ def test_a_domain_that_cannot_be_joined_is_one_problem(healthy, interface, about
     assert found.about == about
 
 
-def test_the_searched_places_are_named(changed):
+def test_the_searched_places_and_the_programs_are_named(changed):
     arm, robot = Peer("rt/arm_sdk", "LowCmd_"), Peer("rt/lf/lowstate", "LowState_")
-    searched = {"searched": ((0, "lo"), (2, "lo"), (1, "eth0"))}
-    facts = changed(wire=EMPTY | searched | {"writers": (arm,), "readers": (robot,)})
-    (found,) = [one for one in evaluate(facts) if one.about == "publisher"]
-    assert "domains 0, 2" in found.cause
-    assert "eth0" in found.cause
-    assert found.cause.endswith(": 1")  # another program
+    inside = LocalParticipant(1, 44, "policy.py", apart=True)
+    known = {
+        "searched": ((7, "lo"), (1, "eth0")),
+        "local": (LocalParticipant(7, 42, "rviz2"), LocalParticipant(9, 0, "user 1"), inside),
+    }
+    wire = EMPTY | known | {"writers": (arm,), "readers": (robot,)}
+    found = {one.about: one for one in evaluate(changed(wire=wire)) if one.level}
+    publisher, containers = found["publisher"], found["containers"]
+    for named in ("domain 7 on lo", "domain 1 on eth0", "discovered there: 1", "rviz2 (pid 42)"):
+        assert named in publisher.cause
+    assert "policy.py" not in publisher.cause
+    assert "policy.py (pid 44) in domain 1" in containers.cause
+    assert "rviz2" not in containers.cause
+    assert containers.level is Level.WARNING
 
 
 def test_the_base_is_missing_only_where_there_is_a_publisher(changed):
@@ -180,16 +189,16 @@ def test_a_reader_whose_type_is_not_announced():
     assert RECORDER.owner not in finding.cause
 
 
-@pytest.mark.parametrize(
-    ("wire", "about"),
-    [
-        (WireFacts(readers=(READER,)), "publisher"),
-        (WireFacts((STATE,), (RECORDER,), COMING, 1), "LowCmd"),
-    ],
-)
-def test_an_empty_domain_leads_to_the_doctor(wire, about):
+def test_an_empty_domain_is_what_the_doctor_says_of_it(healthy):
+    wire = WireFacts(readers=(READER,), elsewhere=((3, "eth0", "sim"),))
     (finding,) = explain_no_robot(7, "eth0", wire)
-    assert finding.about == about
+    assert finding.remedy == "Use --domain 3."
+    assert finding in evaluate(replace(healthy, domain=7, interface="eth0", wire=wire))
+
+
+def test_a_robot_without_a_subscriber_leads_to_the_doctor():
+    (finding,) = explain_no_robot(7, "eth0", WireFacts((STATE,), (RECORDER,), COMING, 1))
+    assert finding.about == "LowCmd"
     assert "domain 7 on eth0" in finding.cause
     assert "g1stream doctor --domain 7 --interface eth0" in finding.remedy
 

@@ -24,13 +24,11 @@ SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)
 
 
-def test_an_empty_domain(domain_id, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
+def test_an_empty_domain(domain_id):
     facts = inspect_domain(domain_id, "lo", [LO], 0.2)
     assert not facts.writers
     assert not facts.state.received
-    assert domain_id not in {domain for domain, _, _ in facts.elsewhere}
-    assert {(0, "lo"), (1, "lo"), (77, "lo")} <= set(facts.searched)
+    assert domain_id not in {domain for domain, *_ in (*facts.elsewhere, *facts.searched)}
 
 
 def test_silent_publisher(domain_id):
@@ -100,12 +98,25 @@ def test_other_policies(domain_id):
     assert facts.readers[0].qos == Qos(reliable=True, durability=1)
 
 
-def test_the_domain_next_door(domain_id, monkeypatch):
+PUBLISHER = """
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LOWSTATE
+participant = Participant({}, "lo")
+writer = RawWriter(participant, LOWSTATE)
+"""
+
+
+def test_a_publisher_in_any_domain_is_found(claim_domain, monkeypatch, stranger):
+    """No domain is guessed: those of the programs of this machine are searched."""
     monkeypatch.setattr("g1stream.doctor.inspection._DISCOVERY_S", 2.0)  # of a busy machine
-    with Participant(domain_id, "lo") as peer:
-        RawWriter(peer, LOWSTATE)
-        facts = inspect_domain(domain_id - 1, "lo", [LO], 0.2)
-    assert (domain_id, "lo") in {place[:2] for place in facts.elsewhere}
+    here, there = claim_domain(), claim_domain()
+    pid = stranger(PUBLISHER.format(there))
+    facts = inspect_domain(here, "lo", [LO], 0.2)
+    assert (there, "lo") in facts.searched
+    (owner,) = [owner for domain, _, owner in facts.elsewhere if domain == there]
+    assert f"pid {pid} " in owner
+    assert pid in {one.pid for one in facts.local if one.domain == there}
 
 
 @pytest.mark.parametrize(

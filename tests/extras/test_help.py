@@ -31,6 +31,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize("command", OF_EXTRAS)
 def test_help_has_examples_and_exit_codes_within_80_columns(command):
     check_help(command, run(command, "--help"))
+    check_help(command, run(command, "--help-all"))
 
 
 @pytest.mark.parametrize("command", OF_EXTRAS)

@@ -199,18 +199,22 @@ class Session:
 
     def children(self, program: str = "") -> list[int]:
         """The processes of this session's programs, or of one of them, such as `record`."""
-        rooms, found = ("app", "control"), []
-        names = [f"-m\0g1stream.{room}.{program}" for room in rooms]
-        for task in Path(f"/proc/{self.process.pid}/task").glob("*/children"):
-            with suppress(OSError):  # a thread or a process that has just ended
-                pids = map(int, task.read_text().split())
-                for pid in pids:
-                    line = Path(f"/proc/{pid}/cmdline").read_text()
-                    found += [pid] * any(name in line for name in names)
+        names = [f"-m\0g1stream.{room}.{program}" for room in ("app", "control", "recorder")]
+        parents, found = [self.process.pid], []
+        while parents:
+            for task in Path(f"/proc/{parents.pop()}/task").glob("*/children"):
+                with suppress(OSError):  # a thread or a process that has just ended
+                    for pid in map(int, task.read_text().split()):
+                        parents.append(pid)
+                        line = Path(f"/proc/{pid}/cmdline").read_text()
+                        found += [pid] * any(name in line for name in names)
         return found
 
     def recorder(self) -> int:
         return self.children("record")[0]
+
+    def receiver(self) -> int:
+        return self.children("receiver")[0]
 
     def guard(self) -> int:
         return self.children("guard")[0]

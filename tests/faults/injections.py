@@ -195,6 +195,10 @@ def to_recorder(number: int) -> Act:
     return lambda session: os.kill(session.recorder(), number)
 
 
+def to_receiver(number: int) -> Act:
+    return lambda session: os.kill(session.receiver(), number)
+
+
 def to_guard(number: int) -> Act:
     return lambda session: os.kill(session.guard(), number)
 

@@ -40,6 +40,7 @@ from injections import (
     stop,
     symlink,
     to_guard,
+    to_receiver,
     to_recorder,
     twice,
     wide_urdf,
@@ -612,6 +613,7 @@ RECORDER: Final = [
     _recorder("SIGTERM to the recorder", to_recorder(signal.SIGTERM), reason="SIGTERM"),
     _recorder("recorder is killed", to_recorder(signal.SIGKILL), reason="SIGKILL"),
     _recorder("recorder is stopped", to_recorder(signal.SIGSTOP), reason="record"),
+    _recorder("recorder's receiver is killed", to_receiver(signal.SIGKILL), reason="SIGKILL"),
     _recorder("file is deleted", lambda s: s.path.unlink(), reason="session.mcap"),
     _recorder("file is replaced", replace_file, reason="session.mcap"),
     _recorder(

@@ -16,7 +16,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from g1stream.analysis.tracking import errors_of_run
 from g1stream.app.session import open_session
+from g1stream.app.stream import stream
+from g1stream.config import DdsConfig, load_config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowCmd, LowState
@@ -24,6 +27,8 @@ from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from g1stream.control.loop import StreamLoop
 
 RAMP = 0.5
 PLAY = 2.0
@@ -102,6 +107,24 @@ def test_a_robot_stands_on_its_feet_and_squats_at_the_end(running, tmp_path, dom
     height = np.interp(reference.time, base.time, base.position[:, 2])
     assert height[reference.phase == Phase.PLAY].min() > 0.7
     assert height[reference.phase == Phase.HOLD][-1] < 0.62
+
+
+def test_a_stream_knows_its_tracking_error_without_the_recording(running, tmp_path, domain_id):
+    """By the states that its loop received; the recorder gets those that came in between, too."""
+    loops: list[StreamLoop] = []
+    part = {"ramp": RAMP, "start": 2.0, "duration": PLAY}
+    config = load_config(PATIENT, {f"stream.{key}": value for key, value in part.items()})
+    config = config.model_copy(update={"dds": DdsConfig(domain=domain_id)})
+    with running("sim", "--domain", domain_id):
+        summary = stream("demo", config, record=tmp_path / "s.mcap", on_loop=loops.append)
+    recorded = summary.tracking
+    found = errors_of_run(loops[0].report.error, np.ones(29, bool))
+    assert found is not None
+    assert recorded is not None
+    assert found.sums.n == pytest.approx(recorded.compared_states, rel=0.2)
+    assert found.duration == pytest.approx(recorded.compared_s, rel=0.01)
+    assert found.overall == pytest.approx(recorded.all_joints.rmse_rad, rel=0.1)
+    assert found.max_abs.max() == pytest.approx(recorded.all_joints.max_abs_rad, rel=0.1)
 
 
 def test_every_message_was_published_before_it_was_received(played):

@@ -12,11 +12,12 @@ import pytest
 from mcap.reader import make_reader
 
 from g1stream.app.session import open_session
-from g1stream.config import RecordConfig
+from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, LowState, Reference
 from g1stream.recorder.diagnostics import ClockReading, read_clocks
+from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.records import MeasuredTf
@@ -66,9 +67,13 @@ class Publisher:
 def recording(domain_id, path, channels="standard", **options):
     """A recorder in a thread of its own; it has stopped when this is left."""
     stop = threading.Event()
-    with Participant(domain_id, "lo") as participant, SessionWriter(path) as writer:
+    with (
+        Receiver(Config(dds={"domain": domain_id})) as receiver,
+        Participant(domain_id, "lo") as participant,
+        SessionWriter(path) as writer,
+    ):
         pipeline = MessagePipeline(G1.load(), RecordConfig(channels=channels))
-        recorder = Recorder(participant, writer, pipeline, 0.1, **options)
+        recorder = Recorder(receiver, participant, writer, pipeline, 0.1, **options)
         thread = threading.Thread(target=recorder.run, args=(stop.is_set,))
         thread.start()
         try:

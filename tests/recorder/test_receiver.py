@@ -1,22 +1,25 @@
-"""The thread that receives, and what becomes of a recording when it goes wrong."""
+"""The process that receives, and what becomes of a recording when it goes wrong."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import os
+import signal
+import threading
+import time
 
 import pytest
 
+from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawReader, RawSample, RawWriter
-from g1stream.dds.messages import LOWSTATE, LowState
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.errors import RecordingError
+from g1stream.recorder import receiver as module
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
 from g1stream.view.pipeline import MessagePipeline
-
-T0 = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
@@ -26,54 +29,123 @@ def participant(domain_id):
 
 
 @pytest.fixture
-def recorder(participant, tmp_path):
-    with SessionWriter(tmp_path / "s.mcap") as writer:
-        yield Recorder(participant, writer, MessagePipeline(G1.load()), 0.1)
+def receiver(domain_id):
+    with Receiver(Config(dds={"domain": domain_id})) as receiver:
+        receiver.wait_until_ready()
+        yield receiver
 
 
 @pytest.fixture
-def dying(monkeypatch):
-    """Readers of LowState have one sample to give, then fail."""
-    left = []
-    for i in range(2):
-        left.append(RawSample(LowState().tobytes()))
-        left[i].sample_info = SimpleNamespace(source_timestamp=T0 + i, publication_handle=7)
-
-    def take(reader, most=256):
-        if reader.topic is not LOWSTATE:
-            return []
-        if not left:
-            raise MemoryError("no room")
-        return [left.pop(0)]
-
-    monkeypatch.setattr(RawReader, "take", take)
+def recorder(receiver, participant, tmp_path):
+    with SessionWriter(tmp_path / "s.mcap") as writer:
+        yield Recorder(receiver, participant, writer, MessagePipeline(G1.load()), 0.1)
 
 
-def test_a_failed_receiver_raises_once_all_samples_are_drained(participant, dying):
-    receiver = Receiver(participant, [LOWSTATE])
-    receiver.start()
-    receiver._thread.join(10)
-    try:
-        assert receiver.drain()[LOWSTATE.name].publish_times == [T0, T0 + 1]
-        with pytest.raises(RecordingError, match="no room"):
-            receiver.drain()
-    finally:
-        receiver.stop()
+@pytest.fixture
+def writer(participant, receiver, until):
+    writer = RawWriter(participant, LOWSTATE, 64)
+    until(lambda: writer.matched, "the receiver's reader")
+    return writer
 
 
-@pytest.mark.parametrize("at_once", [True, False])
-def test_a_recording_whose_receiver_failed_is_not_complete(recorder, dying, at_once):
-    report = recorder.run(lambda: at_once)
-    assert "no room" in report.stopped
-    assert not report.complete
-    assert report.counts["/lowstate"] == 2
+def numbered(writer, numbers):
+    """Publish LowStates with these ticks, and return their bytes."""
+    state, sent = LowState(), []
+    for number in numbers:
+        state.tick[()] = number
+        sent.append(state.seal())
+        writer.write(sent[-1], time.time_ns())
+        time.sleep(0.0002)
+    return sent
 
 
-def test_malformed_samples_are_counted_and_the_recording_is_not_complete(
-    recorder, participant, until
+def drain_all(receiver):
+    data, log_times, publish_times = [], [], []
+    while batches := receiver.drain():
+        batch = batches[LOWSTATE.name]
+        data += batch.data
+        log_times += batch.log_times
+        publish_times += batch.publish_times
+    return data, log_times, publish_times
+
+
+def test_samples_wait_for_whoever_drains_them_and_their_memory_is_given_back(
+    receiver, writer, until, monkeypatch
 ):
-    writer = RawWriter(participant, LOWSTATE)
-    until(lambda: writer.matched, "the recorder's reader")
+    monkeypatch.setattr(module, "_BLOCK", 2**20)  # several of them
+    before = time.time_ns()
+    sent = numbered(writer, range(1500))
+    after = time.time_ns() + 1_000_000_000
+    until(lambda: os.fstat(receiver._file).st_size > 1500 * len(sent[0]), "samples")
+    receiver.stop()
+    held = os.fstat(receiver._file).st_blocks * 512
+    data, log_times, publish_times = drain_all(receiver)
+    assert data == sent
+    assert log_times == sorted(log_times)
+    assert before < log_times[0] <= log_times[-1] < after
+    assert all(p <= logged for p, logged in zip(publish_times, log_times, strict=True))
+    assert receiver.matched()[LOWSTATE.name] == 1
+    assert receiver.lost()[LOWSTATE.name] == 0
+    assert os.fstat(receiver._file).st_blocks * 512 < held / 2
+
+
+def test_the_time_is_that_of_the_arrival_while_nothing_is_drained(receiver, writer):
+    numbered(writer, range(50))
+    time.sleep(0.5)
+    _, log_times, publish_times = drain_all(receiver)
+    assert len(log_times) == 50
+    assert max(log_times) - max(publish_times) < 400_000_000
+
+
+def test_samples_without_room_are_counted_as_lost(participant, monkeypatch, until):
+    monkeypatch.setattr(module, "_MOST_BYTES", 0)
+    file = os.memfd_create("test")
+    readers = module._Readers(participant, file)
+    try:
+        writer = RawWriter(participant, LOWCMD, 64)
+        until(lambda: writer.matched, "the reader")
+        os.write(file, bytes(8192))  # what nobody has read
+        writer.write(LowCmd().seal())
+        readers._take()
+        readers._write_status()
+        status = os.pread(file, 1 << 16, 8192)[module._HEADER.size :]
+        counts = module.json.loads(status)
+        assert counts["discarded"][LOWCMD.name] == counts["lost"][LOWCMD.name] == 1
+        assert counts["lost"][LOWSTATE.name] == 0
+    finally:
+        del readers
+        os.close(file)
+
+
+def test_a_receiver_that_is_killed_raises_once_all_samples_are_drained(receiver, writer, until):
+    sent = numbered(writer, range(20))
+    until(lambda: os.fstat(receiver._file).st_size > 20 * len(sent[0]), "samples")
+    os.kill(receiver.pid, signal.SIGKILL)
+    until(lambda: receiver._failure, "the news")
+    assert receiver.drain()[LOWSTATE.name].data == sent
+    with pytest.raises(RecordingError, match="SIGKILL"):
+        receiver.drain()
+
+
+@pytest.mark.parametrize("at_the_end", [False, True])
+def test_a_recording_whose_receiver_was_killed_is_not_complete(
+    receiver, recorder, writer, until, at_the_end
+):
+    ended = threading.Event()
+    thread = threading.Thread(target=recorder.run, args=(ended.is_set,))
+    thread.start()
+    numbered(writer, range(20))
+    until(lambda: recorder.received.get("/lowstate") == 20, "the samples")
+    if at_the_end:
+        ended.set()
+    os.kill(receiver.pid, signal.SIGKILL)
+    thread.join(20)
+    assert "SIGKILL" in recorder.report.stopped
+    assert not recorder.report.complete
+    assert recorder.report.counts["/lowstate"] == 20
+
+
+def test_malformed_samples_are_counted_and_the_recording_is_not_complete(recorder, writer):
     writer.write(LowState().tobytes() + bytes(8))
     report = recorder.run(lambda: True)
     assert report.malformed == {"/lowstate": 1}

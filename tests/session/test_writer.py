@@ -1,5 +1,6 @@
 """What the writer leaves on disk, read with the stock mcap reader and other people's decoders."""
 
+import gc
 import signal
 import struct
 import subprocess
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
-from mcap.records import Chunk, DataEnd, Message
+from mcap.records import Chunk, ChunkIndex, DataEnd, Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
@@ -100,6 +101,21 @@ def test_a_chunk_spans_less_than_its_time(tmp_path):
             writer.write_batch("/lowstate", [b"x"] * 25, times, times)
             writer.flush_if_due(int(times[-1]))
     assert chunk_spans(path) == [248 * MS] * 8
+
+
+def test_the_index_of_the_chunks_is_whole_and_not_held_in_memory(tmp_path):
+    path = tmp_path / "session.mcap"
+    times = list(range(T0, T0 + 30_000 * MS, 250 * MS))
+    with SessionWriter(path) as writer:
+        for time in times:
+            writer.write("/lowstate", b"x", time, time)
+            writer.flush_if_due(time + 250 * MS)
+        assert not any(isinstance(one, ChunkIndex) for one in gc.get_objects())
+    with path.open("rb") as file:
+        indexes = make_reader(file).get_summary().chunk_indexes
+    assert [one.message_start_time for one in indexes] == times
+    assert [message.log_time for _, _, message in read_all(path)] == times
+    assert sorted(tmp_path.iterdir()) == [path]
 
 
 def test_a_clock_set_back_does_not_keep_a_chunk_open(tmp_path):

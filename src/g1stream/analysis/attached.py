@@ -161,7 +161,7 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
             f"It cannot be told what of {motion.name} was played in {session.path}: from "
             f"{best.first:.1f} s on it is similar by {best.similarity:.2f}, from "
             f"{rival.first:.1f} s on by {rival.similarity:.2f}.",
-            "Give only the part that was played: g1stream attach --trim A:B.",
+            "Give only the part that was played: g1stream attach --start S --duration S.",
         )
     if not 1 <= play <= len(plays):
         raise ConfigError(

@@ -44,6 +44,7 @@ from g1stream.types import Floats, Phase
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from g1stream.analysis.tracking import TrackingSummary
     from g1stream.session.recording import Recording
     from g1stream.session.records import MotionInfo, ParametersInfo, PhaseInterval
     from g1stream.session.streams import Stream
@@ -205,6 +206,7 @@ def summarise_run(
     termination: Termination | None = None,
     stream: StreamSummary | None = None,
     recorder: RecorderSummary | None = None,
+    tracking: TrackingSummary | None = None,
 ) -> Summary:
     """The summary of a run, from what its programs counted; no file is read."""
     recorded = recorder or RecorderSummary()
@@ -224,6 +226,7 @@ def summarise_run(
         termination=termination or Termination(),
         stream=stream,
         recorder=recorder,
+        tracking=tracking,
         topics={
             topic: MessageStats(count=n, lost=recorded.lost.get(topic))
             for topic, n in recorded.counts.items()

@@ -234,7 +234,7 @@ class Summary(Record):
 
 def outcome(summary: Summary) -> str:
     """How it went, in one sentence."""
-    tracking, ended = summary.tracking, _ended(summary.termination)
+    tracking, ended = summary.tracking, _ended(summary)
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
         name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
@@ -292,7 +292,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),
         ("joints", _joints(summary)),
         ("phases", ", ".join(phases)),
-        ("ended", _ended(summary.termination)),
+        ("ended", _ended(summary)),
         ("settings", "; ".join(settings)),
         ("parameters", str(summary.params) if summary.params else ""),
         ("clock offsets", ", ".join(offsets)),
@@ -422,9 +422,11 @@ def _joints(summary: Summary) -> str:
     return f"{len(played)} of {total} play: {', '.join(named)}{others}{has}"
 
 
-def _ended(termination: Termination) -> str:
+def _ended(summary: Summary) -> str:
     """How it ended and how much was played; empty where neither is known."""
+    termination = summary.termination
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
+    asked = (summary.settings or {}).get("stream.duration")
     rest = None if motion is None else motion - start
     whole = played is None or rest is None or abs(rest - played) < TO_ITS_END
     if termination.undamped_in is not None:
@@ -439,13 +441,16 @@ def _ended(termination: Termination) -> str:
         return ""
     if played is None or rest is None or (whole and not start):
         return how
+    if not played:
+        return f"{how}; nothing was played"
     if whole:
         return f"{how}; played from {start:.1f} s to its end"
     if played > rest:
         return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
-    return f"{how}; played {played:.1f} of {motion:.1f} s" + (
-        f" from {start:.1f} s" if start else ""
-    )
+    of = f"{motion:.1f} s"
+    if termination.reason and isinstance(asked, (int, float)) and asked < rest:
+        of = f"the {asked:.1f} s that were asked for"
+    return f"{how}; played {played:.1f} of {of}" + (f" from {start:.1f} s" if start else "")
 
 
 def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
@@ -470,6 +475,8 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
     )
     if summary.attached and summary.attached.by_robot:
         delay = "not known: the robot's own joints told when the motion began"
+    elif not summary.topics and tracking.all_joints.delay_s is None:
+        delay = "found in recordings only: give --record"
     else:
         delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     return [

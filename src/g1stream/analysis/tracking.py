@@ -20,10 +20,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.control.tracking_error import ErrorSums
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
 from g1stream.input_limits import NUMBER
@@ -38,16 +40,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.control.tracking_error import RunningError
     from g1stream.session.recording import Recording
 
 __all__ = [
     "Delay",
     "ErrorStats",
+    "JointErrors",
     "NothingToCompareError",
     "Tracking",
     "TrackingSummary",
     "blocks",
     "compare",
+    "errors_of_run",
     "interpolated",
     "pooled",
     "rms",
@@ -135,54 +140,43 @@ class TrackingSummary(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Tracking:
-    """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
+class JointErrors:
+    """How large reference - measured was in PLAY, joint by joint, in motor order.
 
-    Joints are in motor order. Those that did not play the motion count in no figure of several
-    joints together.
+    Joints that did not play the motion count in no figure of several joints together.
 
     Attributes:
-        time: (N,) s on the motion's clock, as `Stream.time`.
-        motion_time: (N,) s since the motion's first frame.
-        reference, measured: (N, 29) rad.
+        sums: the errors of one LowState at least.
         excluded: LowStates in PLAY that are left out: the reference has a gap there, or a joint
             position is not finite or beyond 1e9 rad.
         duration: s of PLAY, gaps left out.
-        rmse: (29,) rad, root mean square of reference - measured.
-        mean: (29,) rad, mean of reference - measured, such as the sag under gravity.
-        max_abs: (29,) rad, the greatest error, either way.
-        max_abs_at: (29,) s since the motion's first frame, where that was.
-        delays: finds the delay of any joints together.
-        states: (N,) which LowStates they are.
         joints: motor indices of those that played the motion.
     """
 
-    time: Floats
-    motion_time: Floats
-    reference: Floats
-    measured: Floats
+    sums: ErrorSums
     excluded: int
     duration: float
-    rmse: Floats
-    mean: Floats
-    max_abs: Floats
-    max_abs_at: Floats
-    delays: Delays
-    states: NDArray[np.intp]
     joints: tuple[int, ...]
 
     @cached_property
-    def delay(self) -> Delay | None:
-        """Of all joints together; None where too little moves, or no delay that is searched fits.
-
-        Its `rmse` and `std` are in the order of `joints`, rad.
-        """
-        return self.delays.of(self.joints)
+    def rmse(self) -> Floats:
+        """(29,) rad, root mean square."""
+        return self.sums.rmse
 
     @property
-    def error(self) -> Floats:
-        """(N, 29) rad, reference - measured."""
-        return self.reference - self.measured
+    def mean(self) -> Floats:
+        """(29,) rad, such as the sag under gravity."""
+        return self.sums.mean
+
+    @property
+    def max_abs(self) -> Floats:
+        """(29,) rad, the greatest error, either way."""
+        return self.sums.max_abs
+
+    @property
+    def max_abs_at(self) -> Floats:
+        """(29,) s since the motion's first frame, where that was."""
+        return self.sums.max_abs_at
 
     @property
     def overall(self) -> float:
@@ -207,19 +201,14 @@ class Tracking:
 
     def summary(self) -> TrackingSummary:
         """The figures, without the arrays."""
-        delay = self.delay
-        found = TrackingSummary(
-            compared_states=len(self.time),
+        return TrackingSummary(
+            compared_states=self.sums.n,
             excluded_states=self.excluded,
             compared_s=self.duration,
-            rmse_without_delay_rad=delay and pooled(delay.rmse),
-            rmse_without_delay_and_mean_rad=delay and pooled(delay.std),
             all_joints=self._stats(self.joints),
             limbs={limb: self._stats(joints) for limb, joints in self.limbs.items()},
             joints={JOINT_NAMES[joint]: self._stats([joint], alone=True) for joint in self.joints},
         )
-        found.all_joints.delay_s = delay and delay.seconds
-        return found
 
     def _stats(self, joints: Sequence[int], *, alone: bool = False) -> ErrorStats:
         rmse, largest = self.rmse[list(joints)], self.max_abs[list(joints)]
@@ -231,6 +220,47 @@ class Tracking:
             max_abs_at_s=float(self.max_abs_at[most]),
             worst_joint=None if alone else JOINT_NAMES[joints[int(rmse.argmax())]],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking(JointErrors):
+    """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
+
+    Attributes:
+        time: (N,) s on the motion's clock, as `Stream.time`.
+        motion_time: (N,) s since the motion's first frame.
+        reference, measured: (N, 29) rad.
+        delays: finds the delay of any joints together.
+        states: (N,) which LowStates they are.
+    """
+
+    time: Floats
+    motion_time: Floats
+    reference: Floats
+    measured: Floats
+    delays: Delays
+    states: NDArray[np.intp]
+
+    @cached_property
+    def delay(self) -> Delay | None:
+        """Of all joints together; None where too little moves, or no delay that is searched fits.
+
+        Its `rmse` and `std` are in the order of `joints`, rad.
+        """
+        return self.delays.of(self.joints)
+
+    @property
+    def error(self) -> Floats:
+        """(N, 29) rad, reference - measured."""
+        return self.reference - self.measured
+
+    def summary(self) -> TrackingSummary:
+        """The figures, without the arrays."""
+        delay, found = self.delay, super().summary()
+        found.rmse_without_delay_rad = delay and pooled(delay.rmse)
+        found.rmse_without_delay_and_mean_rad = delay and pooled(delay.std)
+        found.all_joints.delay_s = delay and delay.seconds
+        return found
 
 
 @once
@@ -299,34 +329,33 @@ def compare(
     # Of states without a gap it is a view: a long recording has much of everything.
     whole = (np.diff(states) == 1).all()
     done = measured.q[states[0] : states[-1] + 1] if whole else measured.q[states]
-    squares, total, largest = np.zeros((3, N_JOINTS))
-    worst, joints = np.zeros(N_JOINTS, dtype=np.intp), np.arange(N_JOINTS)
+    sums = ErrorSums()
     for part in blocks(len(states)):
         asked[part] = compared.where(part).interpolate(q)
-        error = asked[part] - done[part]
-        squares += np.square(error).sum(axis=0)
-        total += error.sum(axis=0)
-        size = np.abs(error)
-        at = size.argmax(axis=0)
-        worst = np.where(size[at, joints] > largest, at + part.start, worst)
-        largest = np.maximum(largest, size[at, joints])
+        sums.add(asked[part] - done[part], motion_time[part])
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
     seconds, state_seconds = (times - times[0]) / 1e9, (state_times[states] - times[0]) / 1e9
     return Tracking(
+        sums=sums,
+        excluded=len(in_play.gap) - len(compared.gap),
+        duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
         time=measured.time[states],
         motion_time=motion_time,
         reference=asked,
         measured=done,
-        excluded=len(in_play.gap) - len(compared.gap),
-        duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
-        rmse=np.sqrt(squares / len(states)),
-        mean=total / len(states),
-        max_abs=largest,
-        max_abs_at=motion_time[worst],
         delays=Delays(seconds, q, state_seconds, done, known=delay_known),
         states=states,
         joints=tuple(np.flatnonzero(played).tolist()),
     )
+
+
+def errors_of_run(running: RunningError, played: NDArray[np.bool_]) -> JointErrors | None:
+    """How closely the robot followed in a run, by what its loop received; None without a state.
+
+    `played` (29,) tells which joints played the motion.
+    """
+    sums, joints = running.sums, tuple(np.flatnonzero(played).tolist())
+    return JointErrors(sums, running.excluded, running.duration / 1e9, joints) if sums.n else None
 
 
 def blocks(n_rows: int, size: int = _BLOCK) -> Iterator[slice]:
@@ -461,8 +490,6 @@ class Delays:
         return factor, unexplained
 
     def _ci95(self, shift: float, joints: list[int]) -> float | None:
-        from scipy.special import stdtrit
-
         of = ((self._at - self._at[0]) / _OBSERVATION).astype(np.intp)
         starts = np.flatnonzero(np.diff(of, prepend=-1))
         if len(starts) < _FEWEST_OBSERVATIONS:
@@ -476,7 +503,23 @@ class Delays:
         scores = np.add.reduceat((error * slope).sum(axis=1), starts)
         information = np.square(slope).sum()
         spread = np.sqrt(np.square(scores).sum() * len(starts) / (len(starts) - 1.0))
-        return float(stdtrit(len(starts) - 1.0, 0.975) * spread / information)
+        return float(_t_975(len(starts) - 1) * spread / information)
+
+
+def _t_975(freedom: int) -> float:
+    """The 0.975 quantile of Student's t, within 4e-4 of it from 4 degrees of freedom on.
+
+    An expansion about that of the normal distribution, Abramowitz and Stegun 26.7.5: importing
+    SciPy for it takes as long as all else in the summary of a short session.
+    """
+    z = NormalDist().inv_cdf(0.975)
+    return (
+        z
+        + (z**3 + z) / (4 * freedom)
+        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)
+        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * freedom**3)
+        + (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * freedom**4)
+    )
 
 
 def interpolated(at: Floats, times: Floats, values: Floats) -> Floats:

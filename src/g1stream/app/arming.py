@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from g1stream.control.lowstate import LowStateChecks
-from g1stream.control.plan import Plan
 from g1stream.control.reading import Reading
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import Participant, is_local_only, network_name, require_interface
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
-from g1stream.dds.motion_switcher import MotionSwitcherClient
-from g1stream.doctor.facts import Facts, Finding, ok, warning
-from g1stream.doctor.findings import evaluate
-from g1stream.doctor.inspection import inspect_host, inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
-from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.control.plan import Plan
+    from g1stream.doctor.facts import Finding
+    from g1stream.types import Floats
 
 #: Longest wait for the motion service, discovery included, s.
 _SERVICE_TIMEOUT: Final = 3.0
@@ -108,6 +108,10 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
             `stream.via` = arm_sdk none is.
         WireError: no plausible LowState is received.
     """
+    from g1stream.doctor.facts import Facts, warning  # a loop on loopback starts without them
+    from g1stream.doctor.findings import evaluate
+    from g1stream.doctor.inspection import inspect_host, inspect_participant
+
     config, kind = plan.config, plan.robot.joint_set
     service = _motion_service(participant, plan)
     state = _plausible_state(participant, plan)
@@ -145,6 +149,9 @@ def _motion_service(participant: Participant, plan: Plan) -> Finding:
     Raises:
         SafetyError: it is active and would fight our commands; or it has to be active and is not.
     """
+    from g1stream.dds.motion_switcher import MotionSwitcherClient
+    from g1stream.doctor.facts import ok, warning
+
     arms = plan.topic is ARM_SDK
     about = "motion service"
     try:

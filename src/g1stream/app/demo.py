@@ -44,14 +44,8 @@ def demo(
     from g1stream.app.session import open_session
 
     config = config or Config()
-    if config.stream.policy:
-        if "support" in config.sim.model_fields_set and config.sim.support != "free":
-            raise ConfigError(
-                f"A policy stands on its own feet, not {config.sim.support}.",
-                "Leave out --support.",
-            )
-        free = config.sim.model_copy(update={"support": "free"})
-        config = config.model_copy(update={"sim": free})
+    if config.stream.policy or "feet" in (config.sim.support, config.stream.support):
+        config = _on_its_feet(config)
     _check_local_only(config.dds.interface)
     session_path, figure_path = out / SESSION, out / FIGURE
     if not force:
@@ -81,6 +75,20 @@ def demo(
     session = open_session(recorder.path)  # it may have the time in its name
     draw(session, figure_path)
     return session.summary()
+
+
+def _on_its_feet(config: Config) -> Config:
+    """The config for a robot that nothing holds, and that a policy or the stream balances."""
+    given = "support" in config.sim.model_fields_set
+    if given and config.sim.held_by != "free":
+        raise ConfigError(
+            f"The robot stands on its own feet, and sim.support is {config.sim.support}.",
+            "Give --support feet, or leave it out.",
+        )
+    balanced = config.stream.support if config.stream.policy else "feet"
+    sim = config.sim.model_copy(update={"support": "free"})
+    stream = config.stream.model_copy(update={"support": balanced})
+    return config.model_copy(update={"sim": sim, "stream": stream})
 
 
 def _check_local_only(interface: str) -> None:

@@ -20,13 +20,12 @@ import numpy as np
 from g1stream.analysis.attached import Recorded, encode_references, find_motion
 from g1stream.child_process import Parent, optional_child, run_child
 from g1stream.config import Config
-from g1stream.dds.domain import Participant
-from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, TOPICS, Batch, Log, Samples
+from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, Batch, Log, Samples
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.motion.trajectory import Trajectory
 from g1stream.optional import require_installed
-from g1stream.realtime import lower_priority, quick_thread_switches
+from g1stream.realtime import lower_priority
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
@@ -246,7 +245,6 @@ def _run_child(parent: Parent) -> None:
 
     Its startup message is the config, and the motion to look for or None.
     """
-    lower_priority()
     # The SDK logs how clients come and go; the viewer shows that itself.
     logging.getLogger("foxglove").addHandler(logging.NullHandler())
     config: Config
@@ -258,24 +256,20 @@ def _run_child(parent: Parent) -> None:
     header = pipeline.file_header(time.time_ns())
     with (
         handled_by(ConsoleHandler(logging.WARNING, "live")),
-        Participant(config.dds.domain, config.dds.interface) as participant,
-        quick_thread_switches(),  # else log times would be late while messages are made
+        Receiver(config) as receiver,
     ):
-        receiver = Receiver(participant, TOPICS)
-        receiver.start()
+        lower_priority()  # not the receiver's, which has been started
         found = FoundReferences(motion) if motion else None
-        try:
-            server = _Server(header, config.live_port)
-            parent.ready()
-            while not parent.done.is_set():
-                time.sleep(settings.batch)
-                batches = receiver.drain()
-                if found:
-                    found.add_to(batches)
-                for messages in (*raw_messages(batches), *pipeline.encode(batches)):
-                    server.send(messages)
-        finally:
-            receiver.stop()
+        server = _Server(header, config.live_port)
+        receiver.wait_until_ready(parent.done.is_set)
+        parent.ready()
+        while not parent.done.is_set():
+            time.sleep(settings.batch)
+            batches = receiver.drain()
+            if found:
+                found.add_to(batches)
+            for messages in (*raw_messages(batches), *pipeline.encode(batches)):
+                server.send(messages)
 
 
 if __name__ == "__main__":

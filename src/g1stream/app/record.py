@@ -19,10 +19,11 @@ from g1stream.child_process import Parent, publishing_for_ros2, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import COMMANDS, POLICY, REFERENCE
-from g1stream.errors import RecordingError, WireError
+from g1stream.errors import RecordingError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
 from g1stream.realtime import lower_priority
+from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
@@ -33,8 +34,6 @@ from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["record"]
 
-#: How long a stream is looked for, s.
-_MATCH_TIMEOUT: Final = 10.0
 _POLL_PERIOD: Final = 0.05
 #: From the end of a stream to its guard's first command, at most, s.
 _GUARD_DELAY: Final = 1.0
@@ -82,9 +81,8 @@ def record(
     path = Path(path)
     if settings.auto_name and session is None:
         path = timestamped(path, time.time_ns())
-    pipeline = MessagePipeline(
-        robot, settings, session.policy if session else None
-    )  # before there is a file: may refuse
+    # Before there is a file: may refuse.
+    pipeline = MessagePipeline(robot, settings, session.policy if session else None)
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     size, duration = settings.split_size, settings.split_duration
 
@@ -97,7 +95,9 @@ def record(
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
 
-    with Participant(config.dds.domain, config.dds.interface) as participant, ExitStack() as stack:
+    with ExitStack() as stack:
+        receiver = stack.enter_context(Receiver(config))
+        participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         if not session:  # else the stream has it published
             stack.enter_context(publishing_for_ros2(config, should_stop))
         writer = SessionWriter(
@@ -109,14 +109,13 @@ def record(
         )
         stack.callback(_remove_if_empty, writer)
         stack.enter_context(writer)
-        recorder = Recorder(participant, writer, pipeline, settings.batch)
+        recorder = Recorder(receiver, participant, writer, pipeline, settings.batch)
         on_recorder(recorder)
-
-        def on_started() -> None:
-            if not session or _wait_for_stream(recorder, config, should_stop):
-                on_ready()
-
-        report = recorder.run(should_stop, on_started=on_started)
+        awaited = []
+        if session:
+            policy = [POLICY] if config.stream.policy else []
+            awaited = [one.name for one in (COMMANDS[config.stream.via], REFERENCE, *policy)]
+        report = recorder.run(should_stop, on_ready, awaited)
         if report.stopped:
             on_stopped(report.stopped)
         while session and not should_stop():  # a full disk does not end the stream
@@ -153,25 +152,6 @@ def _close(
     report.removed = not _has_samples(writer)
 
 
-def _wait_for_stream(recorder: Recorder, config: Config, should_stop: Callable[[], bool]) -> bool:
-    """Wait until the stream's publishers are matched; False if told to stop before."""
-    end = time.monotonic() + _MATCH_TIMEOUT
-    wanted = [COMMANDS[config.stream.via], REFERENCE, *([POLICY] if config.stream.policy else [])]
-    while not should_stop():
-        matched = recorder.matched()
-        absent = [topic.name for topic in wanted if not matched[topic.name]]
-        if not absent:
-            return True
-        if time.monotonic() >= end:
-            raise WireError(
-                f"No publisher of {' or '.join(absent)} was found within {_MATCH_TIMEOUT:g} s.",
-                "Check with `g1stream doctor` that the recorder and the stream see each other on "
-                "this domain and interface.",
-            )
-        time.sleep(_POLL_PERIOD)
-    return False
-
-
 def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
     """The file's metadata before the first sample."""
     packages = ("cyclonedds", "mcap", "numpy")
@@ -192,7 +172,6 @@ def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
 
 def _run_child(parent: Parent) -> RecorderSummary | None:
     """Record for a stream: the startup message has arguments of `record`."""
-    lower_priority()
     config: Config = parent.startup_message.get("config") or Config()
     # Where the stream is gone, its guard damps the robot.
     longer = config.stream.damp + _GUARD_DELAY if config.safety.guard else 0.0
@@ -213,6 +192,7 @@ def _run_child(parent: Parent) -> RecorderSummary | None:
             **parent.startup_message,
             should_stop=should_stop,
             on_ready=parent.ready,
+            on_recorder=lambda _: lower_priority(),  # not the receiver's, which has been started
             on_stopped=parent.failed,
             final_metadata=lambda: parent.final_message or {"stopped": stopped()},
         )

@@ -109,7 +109,7 @@ def rollout(
         batch.publish_times.append(stamp)
         batch.log_times.append(stamp + LATENCY)
 
-    link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
+    link = Lockstep(simulated, announced or config.sim.held_by, on_sample=on_sample)
     loop = make_loop(planned, link, link, settle=0)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         planned.log_events()
@@ -148,12 +148,14 @@ def _resolve(
         raise ConfigError(
             f"There is no support {support!r}.", f"Use {', '.join(get_args(StreamSupport))}."
         )
-    if support == "feet" or (support is None and config.stream.support == "feet"):
+    if support == "feet" or (
+        support is None and "feet" in (config.stream.support, config.sim.support)
+    ):
         config = config.model_copy(
             update={"stream": config.stream.model_copy(update={"support": "feet"})}
         )
         support, feedforward = "free", feedforward or "dynamics"
-    support = support or config.sim.support
+    support = support or config.sim.held_by
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
     config = load_config(
         over=config.model_dump()

@@ -70,7 +70,7 @@ def simulate(
         bridge = Bridge(
             participant,
             robot,
-            settings.support,
+            settings.held_by,
             SystemClock(),
             model=model.name,
             onboard=settings.onboard,
@@ -110,7 +110,7 @@ def make_world(robot: G1, settings: SimConfig) -> World:
     timestep = 1.0 / (settings.rate * math.ceil(1000.0 / settings.rate))
     return World(
         robot,
-        settings.support,
+        settings.held_by,
         self_collision=settings.self_collision,
         timestep=timestep,
         push=settings.push,

@@ -4,36 +4,37 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.summarise import summarise_run
-from g1stream.analysis.summary import Summary, Termination
-from g1stream.app.arming import ArmingReport, confirm_arming, require_arming
-from g1stream.app.session import open_session
+from g1stream.app.arming import confirm_arming, require_arming
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
 from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
-from g1stream.control.loop import StreamLoop, make_loop
-from g1stream.control.plan import Plan, plan
-from g1stream.control.report import LoopReport
+from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.doctor.facts import Finding
-from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
-from g1stream.motion.motion import Motion
 from g1stream.realtime import describe, on_time
 from g1stream.session.parts import check_recording_path
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.analysis.summary import Summary
+    from g1stream.app.arming import ArmingReport
+    from g1stream.control.loop import StreamLoop
+    from g1stream.control.plan import Plan
+    from g1stream.control.report import LoopReport
+    from g1stream.doctor.facts import Finding
+    from g1stream.motion.motion import Motion
 
 __all__ = ["stream"]
 
@@ -77,16 +78,20 @@ def stream(
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
     path = None if record is None else _recording_path(Path(record), config.record, force)
-    planned = plan(motion, config)
-    if config.stream.policy and config.stream.rehearse:
-        _rehearse(motion, config)
-    config, clock = planned.config, SystemClock()
+    config, clock = for_wire(config), SystemClock()
     with (
         Guard(config) as guard,
         Participant(config.dds.domain, config.dds.interface) as participant,
         ExitStack() as stack,
     ):
         joined = clock.now()
+        # Only now: meanwhile the guard starts, and the participant discovers the others.
+        from g1stream.control.loop import make_loop
+        from g1stream.control.plan import plan
+
+        planned = plan(motion, config)
+        if config.stream.policy and config.stream.rehearse:
+            _rehearse(motion, config)
         confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
@@ -121,9 +126,16 @@ def _summarise(
     planned: Plan, report: LoopReport, played: StreamSummary, recording: RecorderSummary | None
 ) -> Summary:
     """How it went: from the file, if there is one, else what the loop counted."""
+    from g1stream.analysis.summarise import summarise_run
+    from g1stream.analysis.summary import Termination
+    from g1stream.app.session import open_session
+
     met = played.commands or played.states_used  # else the file says nothing about a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
+    from g1stream.analysis.tracking import errors_of_run
+
+    followed = errors_of_run(report.error, planned.played)
     return summarise_run(
         planned.config,
         motion=MotionInfo.from_motion(planned.motion),
@@ -136,6 +148,7 @@ def _summarise(
         ),
         stream=played,
         recorder=recording,
+        tracking=followed.summary() if followed else None,
     )
 
 
@@ -251,6 +264,9 @@ def _diagnose(
     planned: Plan, participant: Participant, link: DdsLink, report: LoopReport
 ) -> list[Finding]:
     """Why there was no robot to play on; also logged, so that it is in the recording."""
+    from g1stream.doctor.findings import explain_no_robot
+    from g1stream.doctor.inspection import inspect_participant
+
     waited = "stream.wait" in report.reason
     if report.commands or not waited or (report.states and link.subscribers()):
         return []
@@ -263,6 +279,9 @@ def _diagnose(
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.subscribers())
     where = planned.config.dds
+    from g1stream.doctor.inspection import search_elsewhere
+
+    wire = search_elsewhere(wire, where.domain, where.interface)
     findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from g1stream.cli.command import EXIT_OK, print_json, print_lines
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.motion_flags import MOTION, MotionFlags
+from g1stream.cli.motion_flags import MOTION, MotionPartFlags
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 
@@ -20,7 +20,7 @@ _WORTH_TELLING = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Attach(MotionFlags):
+class Attach(MotionPartFlags):
     """Finds when a motion was played in a session, whoever played and recorded it: by the commands
     where they carry joint targets of it, else by the measured joints. From then on the session has
     the reference: /tf, the ghost, the tracking error, and all that `report` says of them.

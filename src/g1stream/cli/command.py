@@ -6,12 +6,14 @@ import json
 import os
 import signal
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
+from g1stream.events import QUIET, is_quiet
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -47,6 +49,41 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True)
+class QuietFlag(Command):
+    """The flag of the commands that print progress and a summary."""
+
+    quiet: bool = flag(
+        False,
+        "Print only warnings, errors, and what --json asks for.",
+        aliases=("-q",),
+    )
+
+
+@contextmanager
+def quietly(command: Command) -> Iterator[None]:
+    """Print only what --quiet leaves, if a command has it, for the length of a `with`."""
+    if not getattr(command, "quiet", False):
+        yield
+        return
+    before = os.environ.get(QUIET, "")
+    os.environ[QUIET] = "1"  # for child processes, too
+    try:
+        with ExitStack() as stack:
+            if not getattr(command, "json", False):
+                nothing = stack.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
+                stack.enter_context(redirect_stdout(nothing))
+            yield
+    finally:
+        os.environ[QUIET] = before
+
+
+def print_note(text: str) -> None:
+    """Print on standard error what happens, unless it is to be quiet."""
+    if not is_quiet():
+        print(printable(text), file=sys.stderr)
+
+
+@dataclass(frozen=True, kw_only=True)
 class SettingsCommand(Command):
     """A subcommand that has settings.
 
@@ -72,7 +109,7 @@ class SettingsCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveCommand(SettingsCommand):
+class LiveCommand(SettingsCommand, QuietFlag):
     """A subcommand that can serve what it does to a viewer."""
 
     # The port has a flag of its own: in `stream --live dance.csv` the motion would be taken for it.
@@ -100,7 +137,7 @@ class LiveCommand(SettingsCommand):
 
         with live(config, motion=motion) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"
-            print(f"Live in Foxglove and Lichtblick: {where}", file=sys.stderr)
+            print_note(f"Live in Foxglove and Lichtblick: {where}")
             yield
 
 
@@ -118,12 +155,15 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
             "a real robot too. "
             "Keep its remote at hand"
         )
-    print(f"{printable(where)}.", file=sys.stderr)
+        print(f"{printable(where)}.", file=sys.stderr)
+    else:
+        print_note(f"{where}.")
 
 
-def yes_flag() -> Any:
+def yes_flag(*, advanced: bool = False) -> Any:
     """The flag --yes of commands that ask before they move a robot."""
-    return flag(None, "Confirm beforehand, by the name of the interface in use.", "INTERFACE")
+    text = "Confirm beforehand, by the name of the interface in use."
+    return flag(None, text, "INTERFACE", advanced=advanced)
 
 
 def confirmed(interface: str, yes: str | None) -> bool:

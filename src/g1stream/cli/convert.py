@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
+    QuietFlag,
     exit_code_of_signal,
     on_signals,
     print_json,
@@ -18,7 +19,7 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import argument, flag, flag_name
-from g1stream.cli.motion_flags import MOTIONS, MotionFlags
+from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
@@ -44,7 +45,7 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(MotionFlags):
+class Convert(MotionPartFlags, QuietFlag):
     """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
 
     Log and publish time of every message are the base time + frame / fps, to the nearest
@@ -86,18 +87,21 @@ class Convert(MotionFlags):
         "spline",
         "With --to: velocities are derivatives of the spline that is streamed, or differences of "
         "the frames in the file.",
+        advanced=True,
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
         "TIME",
+        advanced=True,
     )
     frames: str = flag(
         ":",
         "Only frames A to B - 1; either may be left out. Each keeps its time.",
         "A:B",
         shown="all",
+        advanced=True,
     )
     resample: float | None = flag(
         None,
@@ -106,19 +110,28 @@ class Convert(MotionFlags):
         shown="the frames as they are",
         gt=0,
     )
-    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.")
+    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.", advanced=True)
     root_link: str | None = flag(
-        None, "The link whose pose is in the motion file.", "LINK", shown="the URDF's root"
+        None,
+        "The link whose pose is in the motion file.",
+        "LINK",
+        shown="the URDF's root",
+        advanced=True,
     )
-    world_frame: str = flag("world", "Name of the world's frame.", "NAME")
-    flat: bool = flag(False, "Put every link straight under the world instead of under its parent.")
+    world_frame: str = flag("world", "Name of the world's frame.", "NAME", advanced=True)
+    flat: bool = flag(
+        False, "Put every link straight under the world instead of under its parent.", advanced=True
+    )
     urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
-    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC")
+    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC", advanced=True)
     meshes: bool = flag(
         False,
         "Show the meshes of the URDF, with fewer triangles, or the real G1's (extra `meshes`).",
+        advanced=True,
     )
-    compression: Literal["zstd", "lz4", "none"] = flag("zstd", "Compression of the file.")
+    compression: Literal["zstd", "lz4", "none"] = flag(
+        "zstd", "Compression of the file.", advanced=True
+    )
     force: bool = flag(False, "Replace a file that exists already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
@@ -141,7 +154,7 @@ class Convert(MotionFlags):
             )
         from g1stream.motion.motion import MOTION_SUFFIXES
 
-        of_motion = {f.name for f in fields(MotionFlags)}
+        of_motion = {f.name for f in fields(MotionPartFlags)}
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
@@ -166,7 +179,7 @@ class Convert(MotionFlags):
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
 
     def _require(self, flags: set[str], what: str) -> None:
-        other = [f.name for f in fields(self) if f.name not in flags]
+        other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]
         given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
         if given:
             raise ConfigError(

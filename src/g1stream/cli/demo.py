@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from g1stream.cli.command import LiveCommand, exit_code, print_summary, print_warning
+from g1stream.cli.command import LiveCommand, exit_code, print_note, print_summary, print_warning
 from g1stream.cli.flags import flag
 from g1stream.cli.main import load_command
 from g1stream.cli.motion_flags import MOTION, MotionFlags
@@ -32,6 +32,7 @@ class Demo(LiveCommand, MotionFlags):
     Examples:
       g1stream demo
       g1stream demo --motion dance.csv --support hanging --out dance-demo
+      g1stream demo --support feet
       g1stream demo --duration 5 --viewer
       g1stream demo --live
 
@@ -70,10 +71,9 @@ class Demo(LiveCommand, MotionFlags):
             summary = demo(motion, self.out, config, force=self.force, on_loop=on_loop)
         print_summary(summary, as_json=self.json)
         if summary.tracking:
-            print(
+            print_note(
                 f"Figure: {self.out / FIGURE}. "
-                "The session opens in Foxglove, PlotJuggler and Rerun.",
-                file=sys.stderr,
+                "The session opens in Foxglove, PlotJuggler and Rerun."
             )
             if summary.recorder and summary.recorder.path:
                 _write_page(Path(summary.recorder.path), page)
@@ -87,5 +87,6 @@ def _write_page(session: Path, page: Path) -> None:
     except ConfigError as error:
         print_warning(f"no {page.name}: {error.cause} {error.remedy}")
         return
-    with redirect_stdout(sys.stderr):  # where it is written; standard output may be JSON
+    with redirect_stdout(StringIO()) as told:  # where it is written; standard output may be JSON
         report(sessions=(session,), out=page, force=True).run()
+    print_note(told.getvalue().rstrip())

@@ -31,7 +31,7 @@ class Doctor(SettingsCommand):
       2  problems, or bad input
     """
 
-    seconds: float = flag(1.0, "How long to listen.", "S", gt=0)
+    seconds: float = flag(1.0, "How long to listen.", "SECONDS", gt=0)
     json: bool = flag(False, "Print the findings as JSON on standard output.")
 
     def run(self) -> int:

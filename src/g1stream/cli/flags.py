@@ -31,6 +31,7 @@ from typing import (
 from annotated_types import Gt
 
 from g1stream.errors import ConfigError
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from argparse import _ActionsContainer
@@ -39,6 +40,11 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 CommandT = TypeVar("CommandT")
+
+#: Flags of earlier versions, and what to use.
+_REMOVED = {"--trim": "--start and --duration, which are about the whole motion"}
+#: Units that do not say by themselves what a value is.
+_UNITS = {"s": "SECONDS", "m": "METERS"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +59,7 @@ class _Option:
     positional: bool = False
     aliases: tuple[str, ...] = ()
     switches_off: bool = False
+    advanced: bool = False
 
 
 def flag(
@@ -64,11 +71,13 @@ def flag(
     positional: bool = False,
     gt: float | None = None,
     aliases: tuple[str, ...] = (),
+    advanced: bool = False,
 ) -> Any:
     """A flag of a command, as a field of its dataclass; MISSING as its default must be given.
 
     `metavar` stands for its value in the help, and `shown` for its default; `positional`: it is
-    given without its name; `gt`: its value is greater than this; `aliases`: such as `-o`.
+    given without its name; `gt`: its value is greater than this; `aliases`: such as `-o`;
+    `advanced`: only --help-all shows it.
     """
     required = default is MISSING
     if not shown and default not in (None, False, MISSING):
@@ -81,6 +90,7 @@ def flag(
         required=required,
         positional=positional,
         aliases=aliases,
+        advanced=advanced,
     )
     return field(default=default, metadata={"option": option})
 
@@ -98,7 +108,7 @@ def flag_name(name: str) -> str:
 def parse_flags(
     kind: type[CommandT], name: str, purpose: str, arguments: Sequence[str]
 ) -> CommandT:
-    """Make a command of its arguments; ends the process on --help.
+    """Make a command of its arguments; ends the process on --help and --help-all.
 
     The class `kind` is a dataclass with a `flag` or an `argument` in each field; its docstring is
     shown below the flags, its paragraphs wrapped. One with the field `settings` also gets a flag
@@ -109,17 +119,7 @@ def parse_flags(
         ConfigError: a flag or an argument that does not exist or is missing, or a value that its
             flag does not accept.
     """
-    hints = get_type_hints(kind)
-    own: list[Field[Any]] = [one for one in fields(kind) if "option" in one.metadata]  # type: ignore[arg-type]
-    parser = _Parser(name, purpose, inspect.cleandoc(kind.__doc__ or ""))
-    for one in own:
-        parser.add_flag(parser, one.name, one.metadata["option"], hints[one.name], one.default)
-    settings = _settings_of(name) if "settings" in hints else {}
-    for table in dict.fromkeys(key.rpartition(".")[0] for key in settings):
-        group = parser.add_argument_group(f"[{table}]") if table else parser
-        for key, setting in settings.items():
-            if key.rpartition(".")[0] == table:
-                parser.add_flag(group, key, _option_of(setting), setting.annotation)
+    parser, settings, hints = _parser_of(kind, name, purpose, everything="--help-all" in arguments)
     given = parser.parse(arguments)
     chosen = {key: given.pop(key) for key in settings if key in given}
     values = {
@@ -129,10 +129,35 @@ def parse_flags(
     return kind(**values, **({"settings": chosen} if "settings" in hints else {}))
 
 
+def _parser_of(
+    kind: type[Any], name: str, purpose: str, *, everything: bool
+) -> tuple[_Parser, dict[str, FieldInfo], dict[str, Any]]:
+    """The parser of a command, its settings, and the types of its fields."""
+    hints = get_type_hints(kind)
+    own: list[Field[Any]] = [one for one in fields(kind) if "option" in one.metadata]
+    parser = _Parser(name, purpose, inspect.cleandoc(kind.__doc__ or ""), everything=everything)
+    for one in own:
+        parser.add_flag(parser, one.name, one.metadata["option"], hints[one.name], one.default)
+    settings = _settings_of(name) if "settings" in hints else {}
+    for table in dict.fromkeys(key.rpartition(".")[0] for key in settings):
+        # The tables of a TOML file mean something to those who want to see all flags.
+        group = parser.add_argument_group(f"[{table}]") if table and everything else parser
+        for key, setting in settings.items():
+            if key.rpartition(".")[0] == table:
+                parser.add_flag(group, key, _option_of(setting), setting.annotation)
+    parser.complete()
+    return parser, settings, hints
+
+
+def command_parser(kind: type[Any], name: str, purpose: str) -> ArgumentParser:
+    """A parser that knows all flags of a command, for what is made of them, such as a man page."""
+    return _parser_of(kind, name, purpose, everything=True)[0]
+
+
 class _Parser(ArgumentParser):
     """The parser of one command. What it refuses is a `ConfigError`."""
 
-    def __init__(self, command: str, purpose: str, epilog: str) -> None:
+    def __init__(self, command: str, purpose: str, epilog: str, *, everything: bool) -> None:
         width = min(80, shutil.get_terminal_size().columns)
         super().__init__(
             prog=f"g1stream {command}",
@@ -143,13 +168,14 @@ class _Parser(ArgumentParser):
                 for paragraph in epilog.split("\n\n")
             ),
             formatter_class=lambda prog: RawDescriptionHelpFormatter(
-                prog, max_help_position=17, width=width
+                prog, max_help_position=22, width=width
             ),
             allow_abbrev=False,
             argument_default=SUPPRESS,
         )
-        self._command = command
-        self._known = ["-h", "--help"]
+        self._command, self._everything = command, everything
+        self._known = ["-h", "--help", "--help-all"]
+        self._hidden = 0
         self._usage = [f"g1stream {command} [-h] [OPTIONS]"]
 
     def add_flag(
@@ -161,6 +187,9 @@ class _Parser(ArgumentParser):
         """
         note = f" ({option.note})" if option.note else ""
         about: dict[str, Any] = {"help": f"{option.text}{note}".replace("%", "%%")}
+        if option.advanced and not self._everything:
+            about["help"] = SUPPRESS
+            self._hidden += 1
         name = key.rpartition(".")[2]
         names = [flag_name(f"no_{name}" if option.switches_off else name), *option.aliases]
         if kind is bool:
@@ -208,6 +237,21 @@ class _Parser(ArgumentParser):
 
         return read
 
+    def complete(self) -> None:
+        """All flags have been added: make the usage, and --help-all where there is more to show."""
+        indent = " " * len("usage: ")
+        usage = textwrap.fill(
+            " ".join(self._usage),
+            80,
+            initial_indent=indent,
+            subsequent_indent=indent,
+            break_on_hyphens=False,
+        )
+        self.usage = usage.lstrip()
+        if self._hidden or self._everything:
+            text = f"Show {counted(self._hidden, 'more flag')}, and their tables in a TOML file."
+            self.add_argument("--help-all", action="help", help=text)
+
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:
         """The values that are given, by the key that they were added with."""
         end = arguments.index("--") if "--" in arguments else len(arguments)
@@ -218,21 +262,12 @@ class _Parser(ArgumentParser):
                 flag = name.replace("_", "-")
                 texts[i] = f"{flag}{equals}{value}"
                 if flag not in self._known and flag[:2] not in self._known:
-                    close = get_close_matches(flag, self._known, 1)
-                    instead = f"Use {close[0]}; " if close else ""
+                    close = [_REMOVED.get(flag), *get_close_matches(flag, self._known, 1)]
+                    instead = next((f"Use {one}; " for one in close if one), "")
                     raise ConfigError(
                         f"g1stream {self._command} has no flag {name}.",
                         f"{instead}{self._see_help()}",
                     )
-        indent = " " * len("usage: ")
-        usage = textwrap.fill(
-            " ".join(self._usage),
-            80,
-            initial_indent=indent,
-            subsequent_indent=indent,
-            break_on_hyphens=False,
-        )
-        self.usage = usage.lstrip()
         namespace, extra = self.parse_known_intermixed_args(texts)
         if extra:
             raise ConfigError(
@@ -275,10 +310,11 @@ def _option_of(setting: FieldInfo) -> _Option:
         notes.append(f"default: {_text(default)}")
     return _Option(
         text=f"{text[0].upper()}{text[1:]}.",
-        metavar=about["unit"].upper(),
+        metavar=about["metavar"] or _UNITS.get(about["unit"], about["unit"].upper()),
         note="; ".join(filter(None, notes)),
         limits=tuple(setting.metadata),
         switches_off=default is True,
+        advanced=about["advanced"],
     )
 
 
@@ -296,4 +332,4 @@ def _choices(hint: Any) -> tuple[str, ...]:
 
 
 def _metavar(hint: Any) -> str:
-    return {int: "N", Path: "FILE"}.get(_kinds(hint)[0], "NAME")
+    return {int: "N", float: "NUMBER", Path: "FILE"}.get(_kinds(hint)[0], "NAME")

@@ -48,7 +48,7 @@ COMMANDS: Final = {
         "replay": ("cli.stream:Replay", "Play a recorded session again."),
         "convert": (
             "cli.convert:Convert",
-            "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
+            "Convert a motion into MCAP, CSV or NPZ, a session into a ROS 2 bag.",
         ),
         "library": (
             "extras.library.library_cli:Library",
@@ -70,11 +70,11 @@ COMMANDS: Final = {
         ),
         "simulate": (
             "extras.fit.simulate_cli:Simulate",
-            "Simulate the commands of a session: where robot and simulator differ.",
+            "Simulate a session's commands: where robot and simulator differ.",
         ),
         "fit": (
             "extras.fit.fit_cli:FitParameters",
-            "Fit friction, armature, delay and masses of a robot to its sessions.",
+            "Fit friction, armature, delay and masses of a robot to sessions.",
         ),
         "render": (
             "cli.render:Render",
@@ -96,6 +96,7 @@ COMMANDS: Final = {
             "cli.doctor:Doctor",
             "Find what keeps robot and g1stream apart, or the loop late.",
         ),
+        "completion": ("cli.completion:Completion", "Print a script for a shell's completion."),
     }.items()
 }
 """The commands. To add one, add a row."""
@@ -235,7 +236,7 @@ def _error_text(error: G1StreamError) -> str:
 
 def _run(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        lines = [f"  {name:<8} {purpose}" for name, (_, purpose) in COMMANDS.items()]
+        lines = [f"  {name:<10} {purpose}" for name, (_, purpose) in COMMANDS.items()]
         print(_HELP.format(commands="\n".join(lines)), end="")
         return 0
     name, *rest = arguments
@@ -247,9 +248,12 @@ def _run(arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         close = get_close_matches(name, COMMANDS, 3) or list(COMMANDS)
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
+    from g1stream.cli.command import quietly
     from g1stream.cli.flags import parse_flags
 
-    return parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
+    command = parse_flags(load_command(name), name, COMMANDS[name].purpose, rest)
+    with quietly(command):
+        return command.run()
 
 
 def load_command(name: str) -> type[Command]:

@@ -14,7 +14,7 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.motion_flags import MOTIONS, MotionFlags
+from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.robot.joints import N_JOINTS
 from g1stream.text import counted, labelled, listed
 
@@ -29,7 +29,7 @@ _ON_FLOOR = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(SettingsCommand, MotionFlags):
+class Inspect(SettingsCommand, MotionPartFlags):
     """Prints what is in a motion file, what it asks of the robot, and what is beyond a limit.
 
     `stream` makes the same check. Warnings do not change the exit code. Joint targets between

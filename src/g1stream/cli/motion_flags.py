@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from g1stream.cli.command import Command
 from g1stream.cli.flags import flag
-from g1stream.errors import ConfigError
 from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.robot.model import G1
 
-__all__ = ["MOTION", "MOTIONS", "MotionFlags"]
+__all__ = ["MOTION", "MOTIONS", "MotionFlags", "MotionPartFlags"]
 
 MOTION: Final = (
     "Motion file (CSV, NPZ, pickle), session, ROS 2 bag, or the name of a bundled motion: demo."
@@ -32,8 +31,8 @@ MOTIONS: Final = f"{MOTION} Several are joined in their order."
 class MotionFlags(Command):
     """Flags of the commands that take a motion, or several.
 
-    Each motion is trimmed, mirrored, put on the floor and changed in speed; then they are joined,
-    that is repeated, and the pelvis fixed.
+    Each motion is mirrored, put on the floor and changed in speed; then they are joined, that is
+    repeated, and the pelvis fixed.
     """
 
     fps: float | None = flag(
@@ -47,20 +46,22 @@ class MotionFlags(Command):
         None,
         "Order of the joints in a motion file that does not name them.",
         shown="told by bodies and joint limits",
+        advanced=True,
     )
-    trim: str = flag(
-        ":",
-        "Only the part from A to B seconds of each motion, before --speed, such as 1:5.",
-        "A:B",
-        shown="all",
+    mirror: bool = flag(False, "Mirror it: left is right.", advanced=True)
+    on_floor: bool = flag(
+        False, "Raise or lower each motion until its feet stand on the floor.", advanced=True
     )
-    mirror: bool = flag(False, "Mirror it: left is right.")
-    on_floor: bool = flag(False, "Raise or lower each motion until its feet stand on the floor.")
-    speed: float = flag(1.0, "How many times as fast as its frame rate says.", "X", gt=0)
-    blend: float = flag(0.5, "Time from the end of a motion to the start of the next.", "S")
-    repeat: int = flag(1, "How many times to play it, with blends.", "N", gt=0)
+    speed: float = flag(1.0, "How many times as fast as its frame rate says.", "FACTOR", gt=0)
+    blend: float = flag(
+        0.5,
+        "Time from the end of a motion to the start of the next.",
+        "SECONDS",
+        advanced=True,
+    )
+    repeat: int = flag(1, "How many times to play it, with blends.", "N", gt=0, advanced=True)
     root: Literal["follow", "fix"] = flag(
-        "follow", "The pelvis as in the motion, or fixed as in its first frame."
+        "follow", "The pelvis as in the motion, or fixed as in its first frame.", advanced=True
     )
 
     def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
@@ -95,22 +96,33 @@ class MotionFlags(Command):
         return joined.fixed_root() if self.root == "fix" else joined
 
     def _part(self, motion: Motion, robot: G1 | None) -> Motion:
-        start, end = self._times()
-        if start or end is not None:
-            motion = motion.trim(start, end)
         if self.mirror:
             motion = motion.mirrored()
         if self.on_floor:
             motion = motion.on_floor(robot)
         return motion.at_speed(self.speed) if self.speed != 1.0 else motion
 
-    def _times(self) -> tuple[float, float | None]:
-        start, _, end = self.trim.partition(":")
-        try:
-            if ":" in self.trim:
-                return float(start or 0.0), float(end) if end else None
-        except ValueError:
-            pass
-        raise ConfigError(
-            f"{self.trim!r} is not a range of seconds.", "Give A:B, such as 1:5, 2.5: or :4."
+
+@dataclass(frozen=True, kw_only=True)
+class MotionPartFlags(MotionFlags):
+    """Flags of the commands that take a motion and have no settings for the part that is played."""
+
+    start: float = flag(0.0, "Where in the motion to start.", "SECONDS")
+    duration: float | None = flag(
+        None, "How much of the motion to take.", "SECONDS", shown="to its end", gt=0
+    )
+
+    def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
+        """What the flags make of motions that are read; the part is that of the whole.
+
+        Raises:
+            ConfigError: a flag does not fit.
+            MotionError: what is asked for is not possible.
+            RobotError: the robot's soles, which --on-floor needs, are not known.
+        """
+        motion = super().join(motions, robot)
+        if not self.start and self.duration is None:
+            return motion
+        return motion.trim(
+            self.start, None if self.duration is None else self.start + self.duration
         )

@@ -7,8 +7,10 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
+from math import inf
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
+from g1stream.events import is_quiet
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.text import counted
 from g1stream.types import Phase
@@ -60,10 +62,10 @@ class ProgressDisplay:
     def __init__(
         self, status: Callable[[], tuple[float | None, str]], in_pipe: float | None = None
     ) -> None:
-        self._status, self._in_pipe = status, in_pipe
+        self._status, self._in_pipe = status, None if is_quiet() else in_pipe
         self._stream = sys.stderr
-        dumb = os.environ.get("TERM") in ("dumb", "unknown")
-        self._on_terminal = self._stream.isatty() and not dumb
+        silent = is_quiet() or os.environ.get("TERM") in ("dumb", "unknown")
+        self._on_terminal = self._stream.isatty() and not silent
         self._done = threading.Event()
         run = self._draw if self._on_terminal else self._print
         self._thread = threading.Thread(target=run, name="progress", daemon=True)
@@ -138,9 +140,12 @@ def _frame(console: Console, fraction: float | None, text: str) -> str:
 def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
     """Phase, time and rate; lateness, and age of the state; the error by limb."""
     report, phase, newest = loop.report, loop.state.phase, loop.newest
-    fraction = min(1.0, loop.motion_time / motion.duration) if motion.duration else 1.0
+    start, end = loop.part
+    length = motion.duration if end == inf else end - start
+    passed = max(0.0, loop.motion_time - start)
+    fraction = min(1.0, passed / length) if length else 1.0
     rate = f"  {report.rate:.2f} Hz" if report.rate else ""
-    text = f"{phase.name:<4}  {loop.motion_time:.2f} of {motion.duration:.2f} s{rate}"
+    text = f"{phase.name:<4}  {passed:.2f} of {length:.2f} s{rate}"
     if newest is None:
         return fraction, text
     late = report.lateness

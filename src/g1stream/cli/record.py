@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import logging
-import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import LiveCommand, announce_wire, exit_code, on_signals, print_summary
+from g1stream.cli.command import (
+    LiveCommand,
+    announce_wire,
+    exit_code,
+    on_signals,
+    print_note,
+    print_summary,
+)
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.errors import ConfigError
@@ -53,7 +59,6 @@ class Record(LiveCommand):
         from g1stream.app.record import record
         from g1stream.motion.readers import load_motion
 
-        lower_priority()
         stopped: list[str] = []
         config = self.resolve()
         if self.motion is not None and not self.live:
@@ -65,7 +70,7 @@ class Record(LiveCommand):
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
-            print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
+            print_note(f"Recording {self.file}. Ctrl-C ends it.")
 
         with ExitStack() as stack:
             # Ctrl-C ends a server that does not start.
@@ -74,6 +79,7 @@ class Record(LiveCommand):
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 
             def on_recorder(recorder: Recorder) -> None:
+                lower_priority()  # not the receiver's, which has been started
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))
 
             summary = record(

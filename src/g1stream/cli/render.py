@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK
+from g1stream.cli.command import EXIT_OK, QuietFlag
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
@@ -18,7 +18,7 @@ from g1stream.types import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(SessionFlags):
+class Render(SessionFlags, QuietFlag):
     """The ghost has the reference's joints on the measured pelvis; time, phase and RMS error of all
     joints are written into each frame. Needs EGL or OSMesa, but no display and no GPU. The real
     G1's meshes are used with the extra `meshes`; MP4 needs the extra `video`.
@@ -36,9 +36,9 @@ class Render(SessionFlags):
     session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     out: Path = argument("The file to write: .mp4, .gif, or .png for one frame.", "OUT")
     start: float | None = flag(
-        None, "Time of the first frame on the motion's clock.", "S", shown="of the session"
+        None, "Time of the first frame on the motion's clock.", "SECONDS", shown="of the session"
     )
-    duration: float | None = flag(None, "Length.", "S", shown="to the end", gt=0)
+    duration: float | None = flag(None, "Length.", "SECONDS", shown="to the end", gt=0)
     fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
     size: str = flag("640x480", "Width and height, pixels.", "WxH")
     camera: Camera = flag("oblique", "Where the camera stands around the robot.", shown="oblique")

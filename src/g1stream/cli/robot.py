@@ -40,7 +40,7 @@ class Robot(SettingsCommand):
 
     action: Action = argument("What to do.", "ACTION")
     mode: str | None = flag(None, "Mode to restore, such as ai.", "MODE", positional=True)
-    timeout: float = flag(5.0, "Longest wait for an answer, discovery included.", "S", gt=0)
+    timeout: float = flag(5.0, "Longest wait for an answer, discovery included.", "SECONDS", gt=0)
     yes: str | None = yes_flag()
     json: bool = flag(False, "Print the status as JSON on standard output.")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from g1stream.cli.command import (
     on_signals,
     print_json,
     print_lines,
+    print_note,
 )
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import ProgressDisplay, sim_status
@@ -60,8 +60,8 @@ class Sim(LiveCommand):
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
-            support = _SUPPORT[config.sim.support]
-            print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
+            support = _SUPPORT[config.sim.held_by]
+            print_note(f"Simulating a G1, {support}. Ctrl-C ends it.")
 
         with ExitStack() as stack:
             stack.enter_context(self.serving(config))  # Ctrl-C ends a server that does not start

@@ -122,22 +122,28 @@ class PlayCommand(LiveCommand):
         "File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's.",
         "TOML",
         shown="those of Unitree's example",
+        advanced=True,
     )
     arm: bool = flag(
         False,
         "Show what is about to happen, and ask before anything is sent; needed on anything but "
         "loopback.",
     )
-    yes: str | None = yes_flag()
+    yes: str | None = yes_flag(advanced=True)
     scale_time: bool = flag(
-        False, "Play a motion that is too fast for the joints slower, as a whole, until it fits."
+        False,
+        "Play a motion that is too fast for the joints slower, as a whole, until it fits.",
+        advanced=True,
     )
     clamp: bool = flag(
-        False, "Play a motion beyond the joint limits, its targets held at positions and speeds."
+        False,
+        "Play a motion beyond the joint limits, its targets held at positions and speeds.",
+        advanced=True,
     )
     anyway: bool = flag(
         False,
         "Play a motion beyond the joint limits at its own speeds; on the loopback interface only.",
+        advanced=True,
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
@@ -191,23 +197,16 @@ class PlayCommand(LiveCommand):
 class Stream(PlayCommand, MotionFlags):
     """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
 
-    Ctrl-C damps and ends.
-
-    With --support feet the robot stands on its own feet, if they stay where they are in the motion
-    or step one by one, and squats before it is damped; a second Ctrl-C damps at once. In
-    g1stream's simulator start `g1stream sim --support free`. In unitree_mujoco, where it hangs,
-    wait for `RAMP waits`, press 8 in the simulator's window about once a second until the motion
-    begins, and then 9; its Python simulator needs --rate 200.
-
-    With --policy a learned policy keeps it on its feet. It stands before the motion and after it,
-    and after Ctrl-C; a second Ctrl-C damps at once. docs/policy.md says how it begins on a band.
+    Ctrl-C damps and ends. With --support feet, where the robot squats before it is damped, and with
+    --policy, where it stands, a second Ctrl-C damps at once. docs/feet.md and docs/policy.md say
+    how it gets onto its feet in each simulator.
 
     Examples:
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
       g1stream stream dance.csv --support feet --joints arms,waist
       g1stream stream dance.csv --policy policy.onnx --record dance.mcap
-      g1stream stream wave.csv dance.npz --blend 1 --trim 2:10 --mirror
+      g1stream stream wave.csv dance.npz --blend 1 --start 2 --mirror
       g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
 
     Exit codes:
@@ -258,7 +257,7 @@ class Replay(PlayCommand):
     """
 
     file: Path = argument("The session file, or one of its parts.", "MCAP")
-    speed: float = flag(1.0, "How many times as fast as it was recorded.", "X", gt=0)
+    speed: float = flag(1.0, "How many times as fast as it was recorded.", "FACTOR", gt=0)
 
     def run(self) -> int:
         """Play, and return the exit code."""

@@ -295,6 +295,7 @@ class Guard:
     def __init__(self, config: Config) -> None:
         self._loop: GuardedLoop | None = None
         self._failure = ""
+        self._began = False
         self._child: Child | None = None
         self._heartbeat: Heartbeat | None = None
         self._end_timeout = _END_TIMEOUT + config.stream.damp
@@ -329,7 +330,7 @@ class Guard:
     @contextmanager
     def protecting(self, loop: GuardedLoop) -> Iterator[None]:
         """Damp in the place of a loop that runs; afterwards only if it has not damped."""
-        self._loop = loop
+        self._loop, self._began = loop, True
         if self._failure:  # before there was a loop to stop
             self._fail(self._failure)
         try:
@@ -344,8 +345,10 @@ class Guard:
 
     def __exit__(self, *_: object) -> None:
         try:
-            if self._child:
+            if self._child and self._began:
                 self._child.finish(timeout=self._end_timeout)
+            elif self._child:  # it may still be starting
+                self._child.kill(at_once=True)
         except ChildError as error:
             _LOGGER.warning("%s", error.cause)
         finally:

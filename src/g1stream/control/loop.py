@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
@@ -21,7 +22,7 @@ from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.robot_time import RobotTime
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.targets import COAST_NS, Targets, Timing
-from g1stream.dds.domain import SETTLE
+from g1stream.dds.domain import SETTLE, network_name
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.text import counted
@@ -40,6 +41,8 @@ __all__ = ["StreamLoop", "make_loop"]
 
 _LOGGER = logging.getLogger(__name__)
 
+#: What WAIT waits for is said after the first of these times, and each time the second passes, ns.
+_TOLD, _TOLD_AGAIN = 1_000_000_000, 3_000_000_000
 #: Time of the motion that one command may pass, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 
@@ -61,6 +64,7 @@ class StreamLoop:
         allow_second_writer: play although there is another publisher of LowCmd.
         topic: of the commands: LOWCMD, or ARM_SDK.
         command_delay: finds commands that wait in a queue; None: not looked for.
+        where: the robot is waited for, in words.
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
@@ -81,6 +85,7 @@ class StreamLoop:
         allow_second_writer: bool = False,
         topic: Topic = LOWCMD,
         command_delay: CommandDelay | None = None,
+        where: str = "",
     ) -> None:
         self._link = link
         self._clock = clock
@@ -93,6 +98,7 @@ class StreamLoop:
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
         self._topic = topic
         self._command_delay = command_delay
+        self._where, self._next_told = where, _TOLD
         self._robot_time = RobotTime()
         self._low_state = LowState()
         self._measured: Reading | None = None
@@ -125,6 +131,12 @@ class StreamLoop:
     def motion_time(self) -> float:
         """Where in the motion the loop is, s."""
         return self.newest.target.motion_time if self.newest else 0.0
+
+    @property
+    def part(self) -> tuple[float, float]:
+        """Where in the motion PLAY begins and ends, s; infinity: without end."""
+        start, length = self._schedule.first.motion_time, self._schedule.play
+        return start, inf if length is None else start + length / 1e9
 
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread.
@@ -239,6 +251,7 @@ class StreamLoop:
         if self._command_delay:
             self._command_delay.sent(deadline / 1e9, prepared.command)
         self._commands.sent()
+        report.error.asked(stamp, prepared.target, playing=self.state.phase is Phase.PLAY)
         report.first_stamp = report.first_stamp or stamp
         report.last_stamp = stamp
 
@@ -252,6 +265,7 @@ class StreamLoop:
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
+        self.report.error.received(measured)
         self._robot_time.add(measured, self._feedforward.time_scale)
         self._feedforward.observe(self._commands.phase, measured)
         if self._command_delay:
@@ -276,6 +290,10 @@ class StreamLoop:
         missing = ""
         if before.phase is Phase.WAIT:
             missing = unknown or self._checks.missing or self._no_subscriber()
+            if missing and before.elapsed(now) >= self._next_told:
+                self._next_told = before.elapsed(now) + _TOLD_AGAIN
+                longest = self._schedule.wait / 1e9
+                _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
         inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
@@ -453,4 +471,5 @@ def make_loop(
         allow_second_writer=config.safety.allow_second_writer,
         topic=plan.topic,
         command_delay=delay,
+        where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.control.lowstate import state_timeout
+from g1stream.control.tracking_error import RunningError
 from g1stream.robot.joints import by_joint
 from g1stream.session.records import Percentiles, StreamSummary
 from g1stream.types import Ints, Phase
@@ -88,6 +89,7 @@ class LoopReport:
         skipped: ticks left out because they were a whole period late or more.
         worst_work: longest time from a write to the end of the tick's computation, ns.
         lateness: of each write against its deadline.
+        error: between the references and the LowStates that were used, in PLAY.
     """
 
     period: int
@@ -106,6 +108,7 @@ class LoopReport:
     skipped: int = 0
     worst_work: int = 0
     lateness: Lateness = field(default_factory=Lateness)
+    error: RunningError = field(default_factory=RunningError)
 
     @property
     def reason(self) -> str:

@@ -131,6 +131,16 @@ class Schedule:
         return self._targets.first
 
     @property
+    def play(self) -> int | None:
+        """Length of PLAY; None: without end."""
+        return self._timing.play
+
+    @property
+    def wait(self) -> int:
+        """The longest that WAIT may last."""
+        return self._timing.wait
+
+    @property
     def damp(self) -> int:
         """Length of DAMP."""
         return self._timing.damp

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from pydantic import ConfigDict, Field, field_serializer
 
 from g1stream.realtime import Grant
 from g1stream.session import records
 from g1stream.types import Via
+
+if TYPE_CHECKING:
+    from g1stream.dds.local_participants import LocalParticipant
 
 
 class Level(IntEnum):
@@ -142,6 +146,7 @@ class WireFacts:
         elsewhere: other places where rt/lowstate is published, (domain, interface, owner); looked
             for only if it is not published here.
         searched: the places that were searched for it, (domain, interface).
+        local: the programs of this machine that take part in any domain; likewise.
     """
 
     writers: tuple[Peer, ...] = ()
@@ -151,6 +156,7 @@ class WireFacts:
     commands_matched: int | None = None
     elsewhere: tuple[tuple[int, str, str], ...] = ()
     searched: tuple[tuple[int, str], ...] = ()
+    local: tuple[LocalParticipant, ...] = ()
 
     def writers_of(self, topic: str) -> list[Peer]:
         """The writers of a topic."""

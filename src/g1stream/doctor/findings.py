@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import (
@@ -23,9 +23,15 @@ from g1stream.doctor.facts import (
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted
 
+if TYPE_CHECKING:
+    from g1stream.dds.local_participants import LocalParticipant
+
 #: Room for a hundred LowStates, with the kernel's overhead of each.
 _ENOUGH_BUFFER: Final = 1 << 20
 _SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
+#: Programs that a finding names.
+_MOST_PROGRAMS: Final = 5
+_OUR_GUARD: Final = "g1stream guard"  # of the stream that asks
 _START_ROBOT: Final = "Start a bridge (g1stream sim), or connect and switch on the robot."
 _START_CONTROLLER: Final = "Let the robot stand by its own controller, which subscribes to it."
 
@@ -55,7 +61,7 @@ def evaluate(facts: Facts) -> list[Finding]:
         return found
     return [
         *found,
-        *_publishers(facts, facts.wire),
+        *_publishers(facts.domain, facts.interface, facts.wire),
         *_states(facts, facts.wire),
         *_base(facts.wire),
         *_commands(facts.wire, COMMANDS[facts.via].name),
@@ -71,10 +77,10 @@ def explain_no_robot(
         found.append(_silent_publisher(wire.state))
     if found:
         return found
-    here = f"in domain {domain} on {interface}"
-    remedy = f"Run g1stream doctor --domain {domain} --interface {interface}: it searches further."
     if not wire.writers_of(LOWSTATE.name):
-        return [problem("publisher", f"no publisher on {LOWSTATE.name} {here}", remedy)]
+        return list(_publishers(domain, interface, wire))
+    here = f"in domain {domain} on {interface}"
+    remedy = f"Run g1stream doctor --domain {domain} --interface {interface}: it checks the rest."
     if not _command_subscribers(wire, topic):
         return [problem("LowCmd", f"no subscriber on {topic} {here}", remedy)]
     return [warning("wire", f"a robot appeared {here} after the wait ended", "Stream again.")]
@@ -163,38 +169,45 @@ def _wakeup(latency: WakeupLatency) -> Finding:
     return finding.model_copy(update={"figures": figures})
 
 
-def _publishers(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
+def _publishers(domain: int, interface: str, wire: WireFacts) -> Iterator[Finding]:
     """Who publishes LowState, here or elsewhere."""
-    here = f"in domain {facts.domain} on {facts.interface}"
+    here = f"in domain {domain} on {interface}"
     writers = wire.writers_of(LOWSTATE.name)
     if writers:
         yield from _state_mismatches(wire)
         yield ok("publisher", f"{identify_publisher(wire)}: {_owners(writers)}")
         return
-    for domain, interface, owner in wire.elsewhere:
-        other_domain = domain != facts.domain
+    for other, name, owner in wire.elsewhere:
         yield problem(
-            "domain" if other_domain else "interface",
-            f"no publisher on {LOWSTATE.name} {here}; {owner} publishes it in domain {domain} on "
-            f"{interface}",
-            f"Use --domain {domain}." if other_domain else f"Use --interface {interface}.",
+            "domain" if other != domain else "interface",
+            f"no publisher on {LOWSTATE.name} {here}; {owner} publishes it in domain {other} on "
+            f"{name}",
+            f"Use --domain {other}." if other != domain else f"Use --interface {name}.",
         )
     if not wire.elsewhere:
-        others = len({peer.participant for peer in (*wire.writers, *wire.readers)})
+        peers = (*wire.writers, *wire.readers)
+        others = len({one.participant for one in peers if not one.owner.startswith(_OUR_GUARD)})
+        searched = "".join(f", nor in domain {other} on {name}" for other, name in wire.searched)
         yield problem(
             "publisher",
-            f"no publisher on {LOWSTATE.name} {here}{_searched(facts, wire)}; "
-            f"other programs in this domain: {others}",
+            f"no publisher on {LOWSTATE.name} {here}{searched}; other programs discovered there: "
+            f"{others}; DDS programs of this machine: "
+            f"{_programs(one for one in wire.local if not one.apart)}",
             _START_ROBOT,
+        )
+    if apart := [one for one in wire.local if one.apart]:
+        yield warning(
+            "containers",
+            f"programs in other network namespaces, as in a container: {_programs(apart)}",
+            "Start the container with --network host, or use an interface that leads to it.",
         )
 
 
-def _searched(facts: Facts, wire: WireFacts) -> str:
-    """The other places without a publisher."""
-    domains = [str(domain) for domain, name in wire.searched if name == facts.interface]
-    others = [name for _, name in wire.searched if name != facts.interface]
-    text = f", nor in domains {', '.join(domains)} on it" if domains else ""
-    return text + (f", nor on {', '.join(others)}" if others else "")
+def _programs(local: Iterable[LocalParticipant]) -> str:
+    """Programs with their domains; the first of many."""
+    named = [f"{one} in domain {one.domain}" for one in local]
+    more = f" and {len(named) - _MOST_PROGRAMS} more" if len(named) > _MOST_PROGRAMS else ""
+    return (", ".join(named[:_MOST_PROGRAMS]) or "none") + more
 
 
 def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +21,6 @@ from g1stream.clock import Clock, SystemClock, Ticker
 from g1stream.config import Config, RealtimeConfig
 from g1stream.control.report import Lateness
 from g1stream.dds.domain import (
-    MAX_DOMAIN,
     OBSERVER,
     AnnouncedBridge,
     Endpoint,
@@ -29,8 +28,10 @@ from g1stream.dds.domain import (
     Participant,
     interface_flags,
     interfaces,
+    is_loopback,
 )
 from g1stream.dds.endpoints import RawReader
+from g1stream.dds.local_participants import local_participants
 from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.doctor.facts import (
@@ -50,8 +51,9 @@ from g1stream.realtime import on_time
 from g1stream.robot.model import G1
 
 _POLL_S = 0.001
-#: How long discovery of the participants in another domain may take, s.
+#: How long discovery of the participants in other domains may take, s.
 _DISCOVERY_S = 0.6
+_ROBOT_DOMAIN: Final = 0
 _DURABILITIES = (
     Policy.Durability.Volatile,
     Policy.Durability.TransientLocal,
@@ -63,15 +65,13 @@ _DURABILITIES = (
 def inspect_domain(
     domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
 ) -> WireFacts:
-    """Listen in a domain and, where LowState is not published, in others nearby."""
+    """Listen in a domain and, where LowState is not published, search for it elsewhere."""
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
-    if facts.writers_of(LOWSTATE.name):
-        return facts
     # With a CYCLONEDDS_URI we cannot choose the interface.
-    others = [] if participant.uses_environment else interfaces
-    places = _nearby(domain, interface, others)
-    return replace(facts, elsewhere=tuple(_publishers(places)), searched=tuple(places))
+    return search_elsewhere(
+        facts, domain, interface, [] if participant.uses_environment else interfaces
+    )
 
 
 def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
@@ -117,28 +117,40 @@ def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
     )
 
 
-def _nearby(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
-    """Other places to search: domains nearby, and that of ROS 2, then other interfaces."""
-    others = {0, 1, domain - 1, domain + 1, ros_domain() or 0}
-    nearby = sorted(one for one in others - {domain} if 0 <= one <= MAX_DOMAIN)
+def search_elsewhere(
+    facts: WireFacts, domain: int, interface: str, interfaces: Iterable[Interface] = ()
+) -> WireFacts:
+    """The facts of a domain and, where LowState is not published in it, where else it is.
+
+    The domains in which programs of this machine take part are searched, that of a robot where one
+    may be, and this one on other interfaces. A place that cannot be joined is left out.
+    """
+    if facts.writers_of(LOWSTATE.name):
+        return facts
+    local = local_participants()
+    domains = {one.domain for one in local if not one.apart}
+    domains |= set() if is_loopback(interface) else {_ROBOT_DOMAIN}
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
-    return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
+    places = [(one, interface) for one in sorted(domains - {domain})]
+    places += [(domain, name) for name in usable]
+    joined: dict[tuple[int, str], Participant] = {}
+    with ExitStack() as stack:
+        for place in places:
+            with suppress(WireError):
+                joined[place] = stack.enter_context(Participant(*place))
+        time.sleep(_DISCOVERY_S if joined else 0.0)
+        elsewhere = tuple(
+            (*place, participant.owner(writer))
+            for place, participant in joined.items()
+            for writer in participant.writers(LOWSTATE.name)
+        )
+    return replace(facts, elsewhere=elsewhere, searched=tuple(joined), local=tuple(local))
 
 
 def ros_domain() -> int | None:
     """The DDS domain of ROS 2 in this environment, where it is set."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else None
-
-
-def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
-    """In which of these places LowState is published, and by whom."""
-    for place in places:
-        # A place that cannot be joined has no publisher that we could reach.
-        with suppress(WireError), Participant(*place) as participant:
-            time.sleep(_DISCOVERY_S)
-            for writer in participant.writers(LOWSTATE.name):
-                yield (*place, participant.owner(writer))
 
 
 def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[Peer]:

@@ -88,10 +88,10 @@ class MissingCommands:
         self.count += len(alone)
 
 
-def dropped_datagrams() -> int:
-    """How many datagrams the kernel discarded because a socket buffer of this process was full."""
+def dropped_datagrams(pid: int) -> int:
+    """How many datagrams the kernel discarded because a socket buffer of a process was full."""
     inodes = set()
-    for descriptor in Path("/proc/self/fd").glob("*"):
+    for descriptor in Path(f"/proc/{pid}/fd").glob("*"):
         with suppress(OSError):  # closed in the meantime
             inodes.add(descriptor.readlink().name.removeprefix("socket:[").removesuffix("]"))
     dropped = 0

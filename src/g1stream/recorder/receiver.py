@@ -1,120 +1,268 @@
-"""Takes samples from DDS the moment they arrive, which is their log time."""
+"""Receives samples in a process of its own, so that their log times are exact.
+
+The process waits for samples, takes them and notes the time, and does nothing else. It has the
+priority of real time where that is allowed. The process that encodes and writes them may be slow:
+samples wait in a file in memory, to which the one appends, and of which the other frees what it has
+read.
+"""
 
 from __future__ import annotations
 
-import threading
+import json
+import mmap
+import os
+import struct
 import time
-from collections import Counter
+from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
-from g1stream.dds.domain import OBSERVER
+from g1stream.child_process import Child, ChildError, Parent, run_child
+from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.messages import Batch
+from g1stream.dds.messages import TOPICS, Batch
 from g1stream.errors import RecordingError
+from g1stream.realtime import on_time
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable
 
-    from g1stream.dds.domain import Participant
-    from g1stream.dds.messages import Topic
+    from g1stream.config import Config
 
 __all__ = ["Receiver"]
 
-#: How long the thread waits for samples before it checks whether to stop, ns.
+#: Below the loop and its threads of DDS, above the simulator.
+_BELOW_LOOP: Final = 5
+#: How long it waits for samples before it checks whether to stop, ns.
 _WAIT_NS: Final = 20_000_000
-#: Samples of a topic that may wait while this process is not scheduled.
+#: Samples of a topic that may wait while the process is not scheduled.
 _DEPTH: Final = 4096
+#: Between two reports of losses and matches, s.
+_STATUS_PERIOD: Final = 0.05
+#: Memory for samples that have not been read, bytes: a minute at 1 kHz.
+_MOST_BYTES: Final = 256 * 2**20
+#: Read at once, bytes: a recorder that was stopped catches up in steps.
+_BLOCK: Final = 4 * 2**20
+
+#: Size of the data, number of the topic, log time, publish time, handle of the writer.
+_HEADER: Final = struct.Struct("<IiqqQ")
+#: In place of the number of a topic: the data is a status, as JSON.
+_STATUS: Final = -1
+_NAMES: Final = tuple(topic.name for topic in TOPICS)
 
 
 class Receiver:
-    """Receives several topics in a thread of its own.
+    """Receives all topics of a DDS domain, in another process; a context manager.
 
     Args:
-        participant: in the domain.
-        topics: what to receive.
+        config: all settings.
+
+    Raises:
+        ChildError: the process cannot be started.
     """
 
-    def __init__(self, participant: Participant, topics: Sequence[Topic]) -> None:
-        self._readers = [
-            RawReader(participant, topic, _DEPTH, user_data=OBSERVER) for topic in topics
-        ]
-        self._overflows: Counter[str] = Counter()
-        self._batches = {topic.name: Batch() for topic in topics}
-        self._lock = threading.Lock()
-        self._stop = threading.Event()
-        self._failure: BaseException | None = None
-        every = SampleState.NotRead | ViewState.Any | InstanceState.Any
-        self._conditions = [ReadCondition(reader.entity, every) for reader in self._readers]
-        self._waitset: Any = WaitSet(participant.entity)
-        for condition in self._conditions:
-            self._waitset.attach(condition)
-        self._thread = threading.Thread(target=self._receive, name="receiver", daemon=True)
+    def __init__(self, config: Config) -> None:
+        self._file = os.memfd_create("g1stream-samples")
+        self._read = self._freed = 0  # bytes of the file, from its start
+        self._failure = ""
+        self._status: dict[str, dict[str, int]] = {}
+        priority = max(0, config.realtime.priority - _BELOW_LOOP)
+        startup = (config.dds.domain, config.dds.interface, priority, self._file)
+        try:
+            self._child = Child(
+                "receiver", startup, pass_fds=[self._file], on_failure=self._note_failure
+            )
+        except BaseException:
+            os.close(self._file)
+            raise
 
-    def start(self) -> None:
-        """Begin to receive. The writing thread should not hold the GIL for long meanwhile."""
-        self._thread.start()
+    def __enter__(self) -> Receiver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.kill()
+        os.close(self._file)
+
+    @property
+    def pid(self) -> int:
+        """The id of the process that receives."""
+        return self._child.pid
+
+    def wait_until_ready(self, abandoned: Callable[[], bool] = lambda: False) -> None:
+        """Wait until no sample can be missed any more, or until `abandoned`.
+
+        Raises:
+            ChildError: it does not receive.
+        """
+        self._child.wait_until_ready(abandoned=abandoned)
 
     def stop(self) -> None:
         """Stop receiving; what has been received can still be drained."""
-        self._stop.set()
-        self._thread.join()
-        # Before the readers, which the participant closes.
-        del self._waitset, self._conditions
+        try:
+            self._child.finish()
+        except ChildError as error:
+            self._failure = self._failure or error.cause
 
     def drain(self) -> dict[str, Batch]:
-        """The samples since the last drain, by topic name; topics without any are left out.
+        """Samples since the last drain, by topic name; topics without any are left out.
+
+        Of many that wait it takes the oldest.
 
         Raises:
-            RecordingError: the receiving thread failed, and all its samples have been drained.
+            RecordingError: receiving failed, and all samples have been drained.
         """
-        failure = self._failure  # read first: samples received before it are in the batches by now
-        with self._lock:
-            full = {name: batch for name, batch in self._batches.items() if batch.data}
-            for name in full:
-                self._batches[name] = Batch()
-        if failure is not None and not full:
-            raise RecordingError(
-                f"Receiving samples failed: {failure!r}.",
-                "Record again; the file contains all samples until then.",
-            ) from failure
-        return full
+        failure = self._failure  # read first: samples received before it are in the file by now
+        block = os.pread(self._file, _BLOCK, self._read)
+        batches: dict[str, Batch] = defaultdict(Batch)
+        at = 0
+        while at + _HEADER.size <= len(block):
+            size, number, logged, published, writer = _HEADER.unpack_from(block, at)
+            end = at + _HEADER.size + size
+            if end > len(block):
+                break
+            data = block[at + _HEADER.size : end]
+            at = end
+            if number == _STATUS:
+                self._status = json.loads(data)
+                continue
+            batch = batches[_NAMES[number]]
+            batch.data.append(data)
+            batch.log_times.append(logged)
+            batch.publish_times.append(published)
+            batch.writers.append(writer)
+        self._read += at
+        self._free()
+        if failure and not at:
+            raise RecordingError(failure, "Record again; the file contains all samples until then.")
+        return dict(batches)
 
     def matched(self) -> dict[str, int]:
         """How many writers each topic is matched with."""
-        return {reader.topic.name: reader.matched for reader in self._readers}
+        return self._count("matched")
 
     def lost(self) -> dict[str, int]:
         """How many samples of each topic are known to be lost.
 
         A reader's queue that was full may have lost any number; it counts as one.
         """
-        return {r.topic.name: r.lost + self._overflows[r.topic.name] for r in self._readers}
+        return self._count("lost")
 
     def malformed(self) -> dict[str, int]:
         """How many samples of each topic were not of its type."""
-        return {reader.topic.name: reader.malformed for reader in self._readers}
+        return self._count("malformed")
 
-    def _receive(self) -> None:
-        try:
-            while not self._stop.is_set():
-                self._waitset.wait(_WAIT_NS)
-                self._take()
-        except BaseException as error:  # `drain` raises it in the other thread
-            self._failure = error
+    def discarded(self) -> dict[str, int]:
+        """How many of those that are lost had no room, because too many waited to be drained."""
+        return self._count("discarded")
+
+    def _count(self, what: str) -> dict[str, int]:
+        return self._status.get(what) or dict.fromkeys(_NAMES, 0)
+
+    def _note_failure(self, cause: str) -> None:
+        self._failure = cause
+
+    def _free(self) -> None:
+        """Give back the memory of what has been read."""
+        size = (self._read - self._freed) // mmap.ALLOCATIONGRANULARITY
+        size *= mmap.ALLOCATIONGRANULARITY
+        if size >= _BLOCK // 4:
+            with mmap.mmap(self._file, size, offset=self._freed) as read:
+                read.madvise(mmap.MADV_REMOVE)
+            self._freed += size
+
+
+class _Readers:
+    """The readers of all topics, whose samples go into a file.
+
+    Args:
+        participant: in the domain.
+        file: descriptor of the file.
+    """
+
+    def __init__(self, participant: Participant, file: int) -> None:
+        self._file = file
+        self._readers = [
+            RawReader(participant, topic, _DEPTH, user_data=OBSERVER) for topic in TOPICS
+        ]
+        every = SampleState.NotRead | ViewState.Any | InstanceState.Any
+        self._conditions = [ReadCondition(reader.entity, every) for reader in self._readers]
+        self._waitset: Any = WaitSet(participant.entity)
+        for condition in self._conditions:
+            self._waitset.attach(condition)
+        self._overflows = dict.fromkeys(_NAMES, 0)
+        self._discarded = dict.fromkeys(_NAMES, 0)
+        self._status = b""  # as it was last written
+
+    def receive(self, should_stop: Callable[[], bool]) -> None:
+        """Receive until told to stop."""
+        status_due = 0.0
+        while not should_stop():
+            self._waitset.wait(_WAIT_NS)
+            self._take()
+            if time.monotonic() >= status_due:
+                status_due = time.monotonic() + _STATUS_PERIOD
+                self._write_status()
+        self._take()
+        self._write_status()
 
     def _take(self) -> None:
-        for reader in self._readers:
+        for number, reader in enumerate(self._readers):
             samples = reader.take(_DEPTH)
             if not samples:
                 continue
             now = time.time_ns()
             if len(samples) >= _DEPTH:
-                self._overflows[reader.topic.name] += 1
-            with self._lock:
-                batch = self._batches[reader.topic.name]
-                batch.data.extend(sample.data for sample in samples)
-                batch.publish_times.extend(sample.publish_time for sample in samples)
-                batch.log_times.extend([now] * len(samples))
-                batch.writers.extend(s.sample_info.publication_handle for s in samples)
+                self._overflows[_NAMES[number]] += 1
+            if os.fstat(self._file).st_blocks * 512 > _MOST_BYTES:
+                self._discarded[_NAMES[number]] += len(samples)
+                continue
+            pieces = []
+            for sample in samples:
+                info, size = sample.sample_info, len(sample.data)
+                times = now, info.source_timestamp
+                pieces.append(_HEADER.pack(size, number, *times, info.publication_handle))
+                pieces.append(sample.data)
+            self._append(b"".join(pieces))
+
+    def _write_status(self) -> None:
+        status = {
+            "matched": {reader.topic.name: reader.matched for reader in self._readers},
+            "malformed": {reader.topic.name: reader.malformed for reader in self._readers},
+            "lost": {
+                (name := reader.topic.name): (
+                    reader.lost + self._overflows[name] + self._discarded[name]
+                )
+                for reader in self._readers
+            },
+            "discarded": self._discarded,
+        }
+        data = json.dumps(status).encode()
+        if data != self._status:
+            self._status = data
+            self._append(_HEADER.pack(len(data), _STATUS, 0, 0, 0) + data)
+
+    def _append(self, data: bytes) -> None:
+        if os.write(self._file, data) < len(data):
+            raise OSError("there is no memory for samples")
+
+
+def _run_child(parent: Parent) -> None:
+    """Receive for a recorder."""
+    domain, interface, priority, file = parent.startup_message
+    # The threads of the participant get the priority, too.
+    with Participant(domain, interface) as participant, on_time(priority):
+        readers = _Readers(participant, file)
+        try:
+            parent.ready()
+            readers.receive(parent.done.is_set)
+        except (OSError, MemoryError) as error:
+            raise RecordingError(
+                f"Receiving samples failed: {error}.", "Free memory and record again."
+            ) from error
+        finally:
+            del readers  # before the participant, which closes what it refers to
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from array import array
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
 from logging.handlers import QueueHandler
 from queue import SimpleQueue
@@ -16,27 +15,26 @@ import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns
-from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, POLICY, TOPICS, Log
-from g1stream.errors import RecordingError
+from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, POLICY, Log
+from g1stream.errors import RecordingError, WireError
 from g1stream.events import severity
-from g1stream.realtime import quick_thread_switches
 from g1stream.recorder.diagnostics import (
     Losses,
     StepDetector,
     dropped_datagrams,
     read_clocks,
 )
-from g1stream.recorder.receiver import Receiver
 from g1stream.session.format import CHANNEL_OF, MessageBatch, encode_log
 from g1stream.session.records import RecorderSummary, TopicDelay
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
     from g1stream.recorder.diagnostics import ClockReading
+    from g1stream.recorder.receiver import Receiver
     from g1stream.session.writer import SessionWriter
     from g1stream.view.pipeline import MessagePipeline
 
@@ -52,6 +50,11 @@ _DROPS_PERIOD: Final = 1.0
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: Topics that most streams do not publish.
 _OCCASIONAL: Final = frozenset({ARM_SDK.name, POLICY.name})
+#: Batches whose median delays are kept: the last minutes, as the offset may drift.
+_DELAYS: Final = 8192
+#: How long awaited publishers are looked for, s, and how often.
+_MATCH_TIMEOUT: Final = 10.0
+_POLL_PERIOD: Final = 0.02
 #: How long to go on after the end, for samples still in transit, s.
 _LINGER: Final = 0.3
 
@@ -109,7 +112,8 @@ class Recorder:
     """Records all topics of a DDS domain, and the events logged below `g1stream.recorder`.
 
     Args:
-        participant: in the domain.
+        receiver: of the domain; it is stopped at the end.
+        participant: in the same domain, to know who publishes.
         writer: the session file.
         pipeline: makes what viewers show of the samples.
         batch: how often samples are written, s.
@@ -118,6 +122,7 @@ class Recorder:
 
     def __init__(
         self,
+        receiver: Receiver,
         participant: Participant,
         writer: SessionWriter,
         pipeline: MessagePipeline,
@@ -129,26 +134,22 @@ class Recorder:
         self._writer = writer
         self._batch_s = batch
         self._clocks = clocks
-        self._receiver = Receiver(participant, TOPICS)
+        self._receiver = receiver
         self._pipeline = pipeline
         # Events may be logged in any thread; only this one's writes the file.
         self._events: SimpleQueue[logging.LogRecord] = SimpleQueue()
         self._losses = Losses()
         self._steps = StepDetector()
-        # By topic, of each batch the median of log minus publish times, ns. From another host that
-        # is the transit plus the offset between the clocks, which one direction cannot tell apart;
-        # in a wired network the transit takes well below 1 ms.
-        self._delays: dict[str, array[int]] = defaultdict(lambda: array("q"))
+        # By topic, of batches the median of log minus publish times, ns. From another host that is
+        # the transit plus the offset between the clocks, which one direction cannot tell apart; in
+        # a wired network the transit takes well below 1 ms.
+        self._delays: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=_DELAYS))
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
         self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)
         self._drops_due = 0.0
-        self._aligned = False
+        self._aligned = self._overrun = False
         self.report = RecorderSummary()
-
-    def matched(self) -> dict[str, int]:
-        """How many writers each DDS topic is matched with."""
-        return self._receiver.matched()
 
     @property
     def received(self) -> dict[str, int]:
@@ -159,7 +160,8 @@ class Recorder:
     def run(
         self,
         should_stop: Callable[[], bool],
-        on_started: Callable[[], None] = lambda: None,
+        on_ready: Callable[[], None] = lambda: None,
+        awaited: Collection[str] = (),
     ) -> RecorderSummary:
         """Record until told to stop, or until nothing can be received or written any more.
 
@@ -167,24 +169,32 @@ class Recorder:
 
         Args:
             should_stop: asked at every batch.
-            on_started: called when samples are being received; may take its time, or raise.
+            on_ready: called when nothing that is published from then on can be missed.
+            awaited: DDS topics that must have a publisher by then.
+
+        Raises:
+            ChildError: the receiver does not start.
+            WireError: nobody publishes an awaited topic in time.
         """
         room = logging.getLogger("g1stream.recorder")
         handler = QueueHandler(self._events)
         handler.setLevel(logging.INFO)
         room.addHandler(handler)
-        self._receiver.start()
         try:
-            # Else many a log time would be late by the 5 ms for which this thread holds the GIL.
-            with quick_thread_switches():
-                on_started()
-                while not should_stop():
-                    time.sleep(self._batch_s)
-                    self._write_batches()
-                time.sleep(_LINGER)
-                # Twice: a receiver that failed says so once all its samples have been drained.
-                for _ in range(2):
-                    self._write_batches()
+            self._receiver.wait_until_ready(abandoned=should_stop)
+            deadline = time.monotonic() + _MATCH_TIMEOUT
+            while not self._is_matched(awaited, deadline) and not should_stop():
+                time.sleep(_POLL_PERIOD)
+                self._write_batches()
+            if not should_stop():
+                on_ready()
+            while not should_stop():
+                time.sleep(self._batch_s)
+                self._write_batches()
+            time.sleep(_LINGER)
+            self._receiver.stop()
+            while self._write_batches():
+                pass
         except RecordingError as error:
             self.report.stopped = error.cause
             _LOGGER.error(error.cause)
@@ -192,12 +202,24 @@ class Recorder:
             with suppress(RecordingError):
                 self._write_events()
         finally:
-            self._receiver.stop()
             room.removeHandler(handler)
         self._fill_report()
         return self.report
 
-    def _write_batches(self) -> None:
+    def _is_matched(self, topics: Collection[str], deadline: float) -> bool:
+        """Whether these have a publisher; raises where they have none after the deadline."""
+        matched = self._receiver.matched()
+        absent = [topic for topic in topics if not matched[topic]]
+        if absent and time.monotonic() >= deadline:
+            raise WireError(
+                f"No publisher of {' or '.join(absent)} was found within {_MATCH_TIMEOUT:g} s.",
+                "Check with `g1stream doctor` that the recorder and the stream see each other on "
+                "this domain and interface.",
+            )
+        return not absent
+
+    def _write_batches(self) -> bool:
+        """Write some of the samples that wait; whether there were any."""
         batches = self._receiver.drain()
         # The newest of the last round, not the greatest: the clock may be set back.
         newest = [batch.log_times[-1] for name, batch in batches.items() if name in CHANNEL_OF]
@@ -217,6 +239,7 @@ class Recorder:
         # Chunks that would be due before the next batch are written now: all samples of a batch
         # together, and none later than the writer's limit.
         self._writer.flush_if_due(time.time_ns() + round(self._batch_s * 1e9))
+        return bool(batches)
 
     def _write_events(self) -> None:
         while not self._events.empty():
@@ -259,9 +282,14 @@ class Recorder:
     def _check_losses(self) -> None:
         for name, number in self._update_losses().items():
             _LOGGER.warning("%s of %s lost", counted(number, "sample"), CHANNEL_OF.get(name, name))
+        if any(self._receiver.discarded().values()) and not self._overrun:
+            self._overrun = True
+            _LOGGER.warning(
+                "received samples are discarded: this process was stopped, or is too slow for them"
+            )
         if time.monotonic() >= self._drops_due:
             self._drops_due = time.monotonic() + _DROPS_PERIOD
-            more = dropped_datagrams() - self.report.dropped_datagrams
+            more = dropped_datagrams(self._receiver.pid) - self.report.dropped_datagrams
             if more > 0:
                 self.report.dropped_datagrams += more
                 _LOGGER.warning("%s dropped: the socket buffer was full", counted(more, "datagram"))

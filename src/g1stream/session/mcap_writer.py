@@ -11,10 +11,13 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import pickle
 from collections import Counter
 from contextlib import contextmanager, suppress
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, IndexType, Writer
 
 from g1stream._version import __version__
@@ -107,6 +110,31 @@ class OutputFile:
         self._file.close()
 
 
+class _ChunkIndexes:
+    """The index of the chunks so far, on disk: in memory it would grow by 150 MB an hour.
+
+    It takes the place of the list in the library's writer.
+
+    Args:
+        directory: whose disk has space for it; the file has no name there.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._file = TemporaryFile(dir=directory)  # noqa: SIM115
+
+    def append(self, index: ChunkIndex) -> None:
+        pickle.dump(tuple(vars(index).values()), self._file)
+
+    def __iter__(self) -> Iterator[ChunkIndex]:
+        end = self._file.tell()
+        self._file.seek(0)
+        while self._file.tell() < end:
+            yield ChunkIndex(*pickle.load(self._file))
+
+    def close(self) -> None:
+        self._file.close()
+
+
 class McapWriter:
     """One MCAP file; every method raises a RecordingError where the file cannot be written.
 
@@ -158,6 +186,7 @@ class McapWriter:
                     self._mcap.add_metadata("rosbag2", {"serialized_metadata": ""})
         except BaseException:
             self._file.close()
+            self._indexes.close()
             path.unlink(missing_ok=True)
             raise
 
@@ -222,6 +251,7 @@ class McapWriter:
                 self._mcap.finish()
         finally:
             self._file.close()
+            self._indexes.close()
 
     def _channel_id(self, topic: str) -> int:
         """The number of a channel; a new one is registered, and described in the next chunk."""
@@ -239,7 +269,7 @@ class McapWriter:
         return self._channel_ids[topic]
 
     def _library_writer(self, *, summary: bool) -> Any:
-        return Writer(
+        writer = Writer(
             self._file,  # type: ignore[arg-type]  # it calls write, tell and flush only
             chunk_size=1 << 40,  # never reached: chunks end with `flush`
             compression=self._compression,
@@ -249,6 +279,9 @@ class McapWriter:
             use_statistics=summary,
             use_summary_offsets=summary,
         )
+        if summary:
+            self._indexes = writer._Writer__chunk_indices = _ChunkIndexes(self.place.parent)  # type: ignore[attr-defined]
+        return writer
 
     def _recover(self) -> None:
         """Cut off a piece that was written in part, and go on without a summary.

@@ -69,7 +69,10 @@ class Record(BaseModel):
     """What is written as JSON; its numbers are finite."""
 
     # A file of another version may have more fields, or fewer.
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, validate_default=False)
+    # Each is built when it is first used: a stream starts without most of them.
+    model_config = ConfigDict(
+        extra="ignore", allow_inf_nan=False, validate_default=False, defer_build=True
+    )
 
 
 RecordT = TypeVar("RecordT", bound=BaseModel)
@@ -503,7 +506,7 @@ class TopicDelay(Record):
 
     Attributes:
         hosts: of the publishers.
-        median_ns: of log minus publish time.
+        median_ns: of log minus publish time, in the last minutes.
         clock_offset_estimate_ns: where a publisher is on another host, that median as the offset
             between the clocks, transit included.
     """

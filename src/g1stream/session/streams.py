@@ -16,7 +16,7 @@ from g1stream.errors import RecordingError
 from g1stream.input_limits import LATEST_NS, NUMBER
 from g1stream.session.records import PhaseInterval
 from g1stream.text import counted
-from g1stream.types import Floats, Ints, Phase
+from g1stream.types import MAX_GAP_NS, Floats, Ints, Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,9 +42,6 @@ __all__ = [
     "read_only",
     "without_steps",
 ]
-
-MAX_GAP_NS: Final = 100_000_000
-"""Samples further apart than this, ns, say nothing of the time between them."""
 
 _TIMES: Final = ("log_time", "publish_time")
 

@@ -12,8 +12,9 @@ import g1stream
 from g1stream.app.rollout import rollout
 from g1stream.config import Config, SimConfig
 from g1stream.control.loop import make_loop
-from g1stream.control.plan import plan, with_robot_limits
+from g1stream.control.plan import plan
 from g1stream.control.sources import load_source
+from g1stream.control.wire_settings import with_robot_limits
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.extras.feet.source import StandingTorques
 from g1stream.extras.physics.example_motions import squatting, stepping

@@ -47,7 +47,7 @@ class FitParameters(SettingsCommand):
     motion_out: Path | None = flag(
         None, "Write a motion that shows the parameters, to be played and recorded.", "NPZ"
     )
-    seconds: float = flag(40.0, "Length of that motion.", "S", gt=0.0)
+    seconds: float = flag(40.0, "Length of that motion.", "SECONDS", gt=0.0)
     support: str | None = flag(
         None, "How the robot was held: bolted, hanging.", "SUPPORT", shown="as the sessions say"
     )

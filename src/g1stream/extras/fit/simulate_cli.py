@@ -33,7 +33,7 @@ class Simulate(SettingsCommand):
         None, "Write the session with the simulated joints.", "MCAP", aliases=("-o",)
     )
     force: bool = flag(False, "Replace a file that is there.")
-    window: float = flag(1.0, "Begin anew with the measured state after this.", "S", gt=0.0)
+    window: float = flag(1.0, "Begin anew with the measured state after this.", "SECONDS", gt=0.0)
     support: str | None = flag(
         None,
         "How the robot was held: bolted, hanging, follow, free, feet.",

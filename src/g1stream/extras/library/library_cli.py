@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
+    QuietFlag,
     SettingsCommand,
     exit_code_of_signal,
     on_signals,
@@ -46,7 +47,7 @@ _IN_PIPE_S: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Library(SettingsCommand):
+class Library(SettingsCommand, QuietFlag):
     """Checks, simulates or converts all motion files in directories, copies of a file once.
 
     check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
@@ -110,12 +111,17 @@ class Library(SettingsCommand):
     to: Literal["npz", "csv", "mcap", MotionFormat] = flag(
         "npz", "convert: format of the files; beyondmimic and the like are for other programs."
     )
-    workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
-    cluster: str | None = flag(
-        None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
+    workers: int | None = flag(
+        None, "Processes on this machine.", "N", shown="CPUs", gt=0, advanced=True
     )
-    time_limit: float = flag(600.0, "Time for a motion.", "S", gt=0)
-    memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0)
+    cluster: str | None = flag(
+        None,
+        "Use the workers of this Dask scheduler instead (extra `cluster`).",
+        "ADDRESS",
+        advanced=True,
+    )
+    time_limit: float = flag(600.0, "Time for a motion.", "SECONDS", gt=0, advanced=True)
+    memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0, advanced=True)
     fail_if: list[str] = flag(
         (),
         "Exit code 1 where this holds for a row: NAME OP NUMBER, OP one of < <= > >=. May be "

@@ -1,0 +1,124 @@
+"""The DDS participants of this machine, found by their UDP ports; no domain is joined.
+
+RTPS derives the ports of a participant from its domain (RTPS 2.5, 9.6.2): 7400 + 250 * domain is
+the multicast port of discovery, and participant i has the unicast ports 10 + 2 i and 11 + 2 i above
+that. Some have ports of the kernel's choice in place of those two.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import defaultdict
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from g1stream.dds.domain import MAX_DOMAIN
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+__all__ = ["LocalParticipant", "domains_of_ports", "local_participants"]
+
+_FIRST, _PER_DOMAIN, _UNICAST = 7400, 250, 10
+#: The state of a UDP socket that is not connected, as in /proc/net/udp: TCP_CLOSE.
+_UNCONNECTED: Final = "07"
+_LONGEST: Final = 80
+
+
+@dataclass(frozen=True, order=True)
+class LocalParticipant:
+    """A program of this machine that takes part in a domain.
+
+    Attributes:
+        domain: the domain id.
+        pid: 0 where it is not known, as of the programs of another user.
+        command: its command line, or whose it is.
+        apart: it is in another network namespace, as in a container.
+    """
+
+    domain: int
+    pid: int
+    command: str
+    apart: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.command} (pid {self.pid})" if self.pid else self.command
+
+
+def domains_of_ports(ports: Iterable[int]) -> set[int]:
+    """The domains whose ports a program has."""
+    held, found = set(ports), set()
+    for port in held:
+        domain, offset = divmod(port - _FIRST, _PER_DOMAIN)
+        unicast = offset >= _UNICAST and offset % 2 == 0 and port + 1 in held
+        if 0 <= domain <= MAX_DOMAIN and (offset == 0 or unicast):
+            found.add(domain)
+    return found
+
+
+def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
+    """The programs of this machine that take part in a domain, without this one's processes."""
+    programs = _programs(proc)
+    owners = {inode: pid for pid in programs for inode in _sockets(proc / str(pid))}
+    found = set()
+    for namespace, apart in _namespaces(proc, programs):
+        ports: dict[tuple[int, str], set[int]] = defaultdict(set)
+        for port, uid, inode in _udp_ports(namespace):
+            pid = owners.get(inode, 0)
+            ports[pid, programs.get(pid) or f"a program of user {uid}"].add(port)
+        for (pid, command), held in ports.items():
+            if not _is_ours(proc, pid):
+                found |= {LocalParticipant(d, pid, command, apart) for d in domains_of_ports(held)}
+    return sorted(found)
+
+
+def _programs(proc: Path) -> dict[int, str]:
+    """The command line of each process."""
+    found = {}
+    for path in proc.glob("[0-9]*"):
+        with suppress(OSError):
+            program, *arguments = (path / "cmdline").read_text(errors="replace").split("\0")
+            line = " ".join((Path(program).name, *arguments)).strip()
+            found[int(path.name)] = line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..."
+    return found
+
+
+def _is_ours(proc: Path, pid: int) -> bool:
+    """Whether it is this process or a child of it, such as the guard of a stream."""
+    with suppress(OSError):
+        parent = (proc / str(pid) / "stat").read_text().rpartition(")")[2].split()[1]
+        return os.getpid() in (pid, int(parent))
+    return False
+
+
+def _sockets(process: Path) -> Iterator[int]:
+    """The inodes of a process's sockets; none where this user may not see them."""
+    with suppress(OSError):
+        for file in (process / "fd").iterdir():
+            with suppress(OSError):
+                if match := re.fullmatch(r"socket:\[(\d+)\]", str(file.readlink())):
+                    yield int(match[1])
+
+
+def _namespaces(proc: Path, pids: Iterable[int]) -> Iterator[tuple[Path, bool]]:
+    """A process of each network namespace that can be seen, this one's first; if it is another."""
+    known: set[int] = set()
+    for process in (proc / "self", *(proc / str(pid) for pid in pids)):
+        with suppress(OSError):
+            namespace = (process / "ns" / "net").stat().st_ino
+            if namespace not in known:
+                yield process, bool(known)
+                known.add(namespace)
+
+
+def _udp_ports(process: Path) -> Iterator[tuple[int, int, int]]:
+    """Port, user and inode of each unconnected UDP socket in a process's network namespace."""
+    for name in ("udp", "udp6"):
+        with suppress(OSError):
+            for line in (process / "net" / name).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, uid, _, inode, *_ = line.split()
+                if state == _UNCONNECTED:
+                    yield int(local.rpartition(":")[2], 16), int(uid), int(inode)

@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-fast lint docs lock clean
+.PHONY: demo test test-fast lint docs site lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -11,7 +11,8 @@ help:
 	@echo "make test   install, then run the whole test suite"
 	@echo "make test-fast   the tests that need no DDS and are not slow"
 	@echo "make lint   ruff, mypy --strict, import contracts"
-	@echo "make docs   write docs/api.md, configs/sim.toml and the man page from the code"
+	@echo "make docs   write configs/sim.toml, the package's stub and the man page from the code"
+	@echo "make site   build the documentation as pages that need no network (build/site/)"
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
 
@@ -50,9 +51,13 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 docs: $(VENV)/.run
-	$(BIN)/python tools/make_api_docs.py
+	$(BIN)/python tools/make_stub.py
 	$(BIN)/python tools/make_sim_toml.py
 	$(BIN)/python tools/make_man_page.py
+
+site: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lock:
 	$(PYTHON) -m pip install --quiet uv

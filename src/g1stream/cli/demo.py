@@ -82,11 +82,12 @@ class Demo(LiveCommand, MotionFlags):
 
 def _write_page(session: Path, page: Path) -> None:
     """Write the page of `g1stream report`; where that is not installed, say how to get it."""
+    told = StringIO()  # where it is written; standard output may be JSON
     try:
-        report: Any = load_command("report")
+        with redirect_stdout(told):
+            report: Any = load_command("report")
+            report(sessions=(session,), out=page, force=True).run()
     except ConfigError as error:
         print_warning(f"no {page.name}: {error.cause} {error.remedy}")
-        return
-    with redirect_stdout(StringIO()) as told:  # where it is written; standard output may be JSON
-        report(sessions=(session,), out=page, force=True).run()
-    print_note(told.getvalue().rstrip())
+    else:
+        print_note(told.getvalue().rstrip())

@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import re
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import g1stream
 from g1stream.app.session import open_session
+from g1stream.cli.demo import _write_page
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report.page import numbers, to_csv
@@ -251,3 +253,16 @@ def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
     with pytest.raises(RecordingError):
         g1stream.compare(path, copy, page=copy, force=True)
     assert copy.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("package", ["jinja2", "plotly.offline"])
+def test_a_demo_without_a_package_of_the_extra_says_how_to_install_it(
+    path, tmp_path, monkeypatch, capsys, package
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    page = tmp_path / "report.html"
+    _write_page(path, page)
+    printed = capsys.readouterr()
+    assert "g1stream[report]" in printed.err
+    assert printed.out == ""  # where the summary may be JSON
+    assert not page.exists()

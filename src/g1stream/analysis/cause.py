@@ -1,0 +1,307 @@
+"""Why the joint that was farthest from its reference was there: evidence from just before that.
+
+Causes are looked for in this order. One may bring about those after it, and none before it: a stall
+or a contact loads a motor up to its limit, and a motor at its limit makes its joint late.
+
+- stall: no command was sent for longer than a servo holds its target without harm.
+- simulator: the robot's clock was slower than the motion, so that its joints had to be faster.
+- self-collision: links are inside each other in the reference, and kept apart by the robot.
+- torque: the motor was at its limit.
+- position limit, speed limit: the stream held the joint's target back.
+- start: PLAY began with an error that RAMP had left, or at a speed, and RAMP ends at rest.
+- lag: what the joint did is what was asked of it by its usual delay earlier.
+- no feed-forward: commands carried no torque, so that the servo needed the error for its own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from g1stream.errors import RobotError
+from g1stream.robot.hulls import SelfCollision
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.records import Record
+from g1stream.session.streams import ArmCommandStream, CommandStream, MeasuredStream
+from g1stream.text import short_name
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from g1stream.analysis.tracking import Tracking
+    from g1stream.robot.model import G1
+    from g1stream.session.recording import Recording
+    from g1stream.session.records import StreamSummary
+    from g1stream.types import Floats
+
+__all__ = ["CauseName", "WorstError", "worst_error"]
+
+CauseName = Literal[
+    "stall",
+    "simulator",
+    "self-collision",
+    "torque",
+    "position limit",
+    "speed limit",
+    "start",
+    "lag",
+    "no feed-forward",
+]
+
+#: For so long, at most, an error grows to its greatest, s: a leg swings back in that time.
+_GROWTH: Final = 0.3
+#: An error begins to grow at this share of its greatest, and its cause may be so much earlier, s.
+_BEGUN, _EARLIER = 0.1, 0.1
+#: The least share of the error that a cause must explain.
+_SHARE: Final = 0.5
+#: Commands further apart than this, s, do harm; a servo holds its last target meanwhile.
+_STALL: Final = 0.02
+#: The robot's time over the motion's, below which a simulator is too slow.
+_SLOW: Final = 0.8
+#: Depth of two links in each other that is no rounding of their hulls, m.
+_INSIDE: Final = 0.001
+#: Links that a robot keeps apart touch within this share of the way to its reference.
+_NEAR: Final = 0.25
+#: Poses that are looked at for collisions.
+_MOST_POSES: Final = 50
+#: A motor, or a target, at this share of its limit is at its limit.
+_AT_LIMIT: Final = 0.99
+#: A torque below this share of the motor's limit is no feed-forward.
+_NOTHING: Final = 0.01
+#: For so long the error of a joint grows whose target begins to move at once, s.
+_RESPONSE: Final = 0.03
+
+
+class WorstError(Record):
+    """The greatest tracking error of a joint, and its cause.
+
+    Attributes:
+        joint: name of the joint.
+        error_rad: reference - measured.
+        at_s: since the motion's first frame.
+        cause: None where none was found.
+        why: the evidence, in words; empty where no cause was found.
+    """
+
+    joint: str
+    error_rad: float
+    at_s: float
+    cause: CauseName | None = None
+    why: str = ""
+
+    def __str__(self) -> str:
+        """The joint, by how much, when, and why."""
+        size = f"{math.degrees(abs(self.error_rad)):.2f} deg"
+        name = self.joint.removesuffix("_joint")
+        return f"{name} {size} at {self.at_s:.2f} s: {self.why or 'no cause found'}"
+
+
+def worst_error(
+    session: Recording, tracking: Tracking, stream: StreamSummary | None, margin: float = 0.0
+) -> WorstError:
+    """The greatest error of a played joint, and why.
+
+    Args:
+        session: with a reference.
+        tracking: of the session.
+        stream: what the stream counted; None where that is not known.
+        margin: that targets kept from the position limits, rad.
+
+    Raises:
+        RecordingError: the file is damaged.
+    """
+    try:
+        robot = session.robot
+    except RobotError:
+        robot = None
+    moment = _Moment(session, tracking, stream)
+    evidence: Mapping[CauseName, Callable[[], str]] = {
+        "stall": moment.stall,
+        "simulator": moment.slow_simulator,
+        "self-collision": lambda: moment.self_collision(robot) if robot else "",
+        "torque": lambda: moment.torque_limit(robot) if robot else "",
+        "position limit": lambda: moment.position_limit(robot, margin) if robot else "",
+        "speed limit": lambda: moment.speed_limit(robot) if robot else "",
+        "start": moment.start,
+        "lag": moment.lag,
+        "no feed-forward": lambda: moment.no_feedforward(robot) if robot else "",
+    }
+    found = next(((cause, why) for cause, look in evidence.items() if (why := look())), None)
+    cause, why = found or (None, "")
+    joint = JOINT_NAMES[moment.joint]
+    at = float(tracking.motion_time[moment.worst])
+    return WorstError(joint=joint, error_rad=moment.error, at_s=at, cause=cause, why=why)
+
+
+class _Moment:
+    """The time before the greatest error. What looks for a cause returns the evidence, or "".
+
+    Times are s on the motion's clock, as `Stream.time`.
+
+    Attributes:
+        joint: motor index of the joint.
+        worst: row of the tracking.
+        error: reference - measured there, rad.
+    """
+
+    def __init__(
+        self, session: Recording, tracking: Tracking, stream: StreamSummary | None
+    ) -> None:
+        self._session, self._tracking, self._stream = session, tracking, stream
+        self.joint = joint = max(tracking.joints, key=tracking.max_abs.__getitem__)
+        errors = tracking.reference[:, joint] - tracking.measured[:, joint]
+        self.worst = int(np.abs(errors).argmax())
+        self.error = float(errors[self.worst])
+        self._at = float(tracking.time[self.worst])
+        self._shares = errors / self.error if self.error else np.zeros(len(errors))
+        growth = self._before(tracking.time, _GROWTH)
+        small = tracking.time[growth[self._shares[growth] < _BEGUN]]
+        #: Where the cause is, and where the second half of the error grew.
+        self._since = float(small.max(initial=self._at - _GROWTH)) - _EARLIER
+        self._rows = self._before(tracking.time, self._at - self._since)
+        half = np.flatnonzero(self._shares[self._rows] < _SHARE)
+        self._grown = self._rows[half[-1] + 1 :] if len(half) else self._rows
+        asked = session.reference
+        order = np.argsort(asked.published, kind="stable")
+        self._asked_at, self._asked = asked.time[order], asked.q[order, joint]
+        self._phase = asked.phase[order]
+        kind = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
+        wanted = {MeasuredStream: (np.sort(tracking.states[self._grown]), ("tau", "dq"))}
+        if session.topics.get(kind.topic):
+            near = self._before(session.stream(kind).time, self._at - self._since)
+            wanted[kind] = (np.sort(near), ("q", "dq", "tau", "kp", "kd"))
+        found = session.excerpts(wanted)
+        self._states, self._commands = found[MeasuredStream], found.get(kind)
+
+    def _before(self, times: Floats, seconds: float) -> NDArray[np.intp]:
+        """Which of some times are in the last `seconds` before the greatest error, oldest first."""
+        near = np.flatnonzero((times <= self._at) & (times >= self._at - seconds))
+        return near[np.argsort(times[near], kind="stable")]
+
+    def stall(self) -> str:
+        if self._commands is None or len(self._commands) < 2:
+            return ""
+        times = np.sort(self._commands.time)
+        gaps = np.diff(times)
+        longest = int(gaps.argmax())
+        if gaps[longest] <= max(_STALL, 3.0 * np.median(gaps)):
+            return ""
+        before = self._shares[self._tracking.time <= times[longest]]
+        if len(before) and before[-1] >= _SHARE:
+            return ""
+        ago = self._at - times[longest + 1]
+        return f"no command was sent for {1e3 * gaps[longest]:.0f} ms until {1e3 * ago:.0f} ms before"
+
+    def slow_simulator(self) -> str:
+        tracking = self._tracking
+        rows = self._rows
+        played = float(tracking.motion_time[rows[-1]] - tracking.motion_time[rows[0]])
+        ticks = self._session.measured.tick[tracking.states[rows]]
+        if not ticks.any():  # of a simulator that counts none
+            slow = self._stream and self._stream.waited_s is None and self._stream.time_scale
+            pace = slow or 1.0
+        else:
+            passed = (int(ticks[-1]) - int(ticks[0])) % 2**32 / 1e3
+            pace = passed / played if played > _EARLIER / 2 else 1.0
+        if pace >= _SLOW:
+            return ""
+        return f"the simulator ran at {pace:.2f} of the motion's speed"
+
+    def self_collision(self, robot: G1) -> str:
+        tracking = self._tracking
+        rows = self._rows[:: -(-len(self._rows) // _MOST_POSES)]
+        asked, done = tracking.reference[rows], tracking.measured[rows]
+        poses = np.concatenate([asked, done, done + _NEAR * (asked - done)])
+        moved = _moved_by(robot, self.joint)
+        deepest, text = _INSIDE, ""
+        for pair, depths in SelfCollision(robot).depths(poses).items():
+            of_asked, of_done, near = depths.reshape(3, len(rows))
+            k = int(of_asked.argmax())
+            kept_apart = of_done[k] <= (1.0 - _SHARE) * of_asked[k] and near.any()
+            if moved[pair[0]] == moved[pair[1]] or not kept_apart or of_asked[k] <= deepest:
+                continue
+            deepest = of_asked[k]
+            one, other = sorted(pair, key=lambda link: not moved[link])
+            text = (
+                f"its {short_name(one)} is {1e3 * deepest:.1f} mm inside the {short_name(other)} "
+                f"in the reference at {tracking.motion_time[rows[k]]:.2f} s"
+            )
+        return text
+
+    def torque_limit(self, robot: G1) -> str:
+        limit = float(robot.torque_limit[self.joint])
+        given = np.abs(self._states.tau[:, self.joint])
+        if np.mean(given >= _AT_LIMIT * limit) < _SHARE:
+            return ""
+        return f"its motor gives {given.max():.1f} N·m, and its limit is {limit:g}"
+
+    def position_limit(self, robot: G1, margin: float) -> str:
+        lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin
+        asked = self._tracking.reference[self.worst, self.joint]
+        held = float(np.clip(asked, lower, upper))
+        if (asked - held) / self.error < _SHARE:
+            return ""
+        kept = f", from which safety.position_margin keeps {margin:g} rad" if margin else ""
+        return f"{asked:.3f} rad is beyond its position limit, {held:.3f} rad{kept}"
+
+    def speed_limit(self, robot: G1) -> str:
+        if self._commands is None or len(self._commands) < 2:
+            return ""
+        limit = float(robot.velocity[self.joint])
+        q, times = self._commands.q[:, self.joint], self._commands.time
+        missing = self._tracking.reference[self.worst, self.joint] - q[-1]
+        steps = np.abs(np.diff(q)) / np.maximum(np.diff(times), 1e-6)
+        if missing / self.error < _SHARE or steps.max() < _AT_LIMIT * limit:
+            return ""
+        return f"its target was held back to its speed limit, {limit:g} rad/s"
+
+    def start(self) -> str:
+        playing = np.flatnonzero((self._phase == Phase.PLAY) & (self._asked_at <= self._at))
+        begun = self._asked_at[playing[0]] if len(playing) else -math.inf
+        if begun < self._since:
+            return ""
+        first = int(np.flatnonzero(self._tracking.time >= begun)[0])
+        if self._shares[first] >= _SHARE:
+            left = math.degrees(abs(self._shares[first] * self.error))
+            return f"it was {left:.2f} deg off when PLAY began"
+        moves = np.interp(begun + _RESPONSE, self._asked_at, self._asked) - self._asked[playing[0]]
+        if moves / self.error < _SHARE:
+            return ""
+        return f"PLAY began at {abs(moves) / _RESPONSE:.1f} rad/s, and RAMP ends at rest"
+
+    def lag(self) -> str:
+        delay = self._tracking.delays.of([self.joint]) or self._tracking.delay
+        if delay is None or delay.seconds <= 0.0:
+            return ""
+        before, now = np.interp([self._at - delay.seconds, self._at], self._asked_at, self._asked)
+        if (now - before) / self.error < _SHARE or (now - before) / self.error > 2.0 - _SHARE:
+            return ""
+        speed = abs(now - before) / delay.seconds
+        return f"it is {1e3 * delay.seconds:.0f} ms late, and moves at {speed:.1f} rad/s"
+
+    def no_feedforward(self, robot: G1) -> str:
+        if self._commands is None or self._session.policy is not None:
+            return ""
+        newest = self._commands[-1:]
+        kp, carried = newest.kp[0, self.joint], newest.tau[0, self.joint]
+        given = self._states.tau[-1, self.joint]
+        none = abs(carried) <= _NOTHING * robot.torque_limit[self.joint]
+        if not none or kp <= 0.0 or given / kp / self.error < _SHARE:
+            return ""
+        return (
+            f"its servo needs the error to give {abs(given):.1f} N·m with kp {kp:g}: commands carry "
+            "no torque"
+        )
+
+
+def _moved_by(robot: G1, joint: int) -> dict[str, bool]:
+    """By link, whether a joint moves it."""
+    moved = [False] * len(robot.link_names)
+    for link, parent in enumerate(robot.parent.tolist()):  # parents come before children
+        moved[link] = robot.joint_of_link[link] == joint or (parent >= 0 and moved[parent])
+    return dict(zip(robot.link_names, moved, strict=True))

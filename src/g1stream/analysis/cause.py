@@ -8,7 +8,7 @@ or a contact loads a motor up to its limit, and a motor at its limit makes its j
 - self-collision: links are inside each other in the reference, and kept apart by the robot.
 - torque: the motor was at its limit.
 - position limit, speed limit: the stream held the joint's target back.
-- start: PLAY began with an error that RAMP had left, or at a speed, and RAMP ends at rest.
+- start: PLAY began with the error, which RAMP had left.
 - lag: what the joint did is what was asked of it by its usual delay earlier.
 - no feed-forward: commands carried no torque, so that the servo needed the error for its own.
 """
@@ -29,7 +29,7 @@ from g1stream.text import short_name
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.session.recording import Recording
     from g1stream.session.records import StreamSummary
+    from g1stream.session.streams import Stream
     from g1stream.types import Floats
 
 __all__ = ["CauseName", "WorstError", "worst_error"]
@@ -69,12 +70,11 @@ _INSIDE: Final = 0.001
 _NEAR: Final = 0.25
 #: Poses that are looked at for collisions.
 _MOST_POSES: Final = 50
-#: A motor, or a target, at this share of its limit is at its limit.
-_AT_LIMIT: Final = 0.99
-#: A torque below this share of the motor's limit is no feed-forward.
-_NOTHING: Final = 0.01
-#: For so long the error of a joint grows whose target begins to move at once, s.
-_RESPONSE: Final = 0.03
+#: A motor, or a target, at this share of its limit is at its limit: the stream holds a joint back
+#: by the torque that it expects, which differs by some percent from what the motor then gives.
+_AT_LIMIT: Final = 0.95
+#: A motor is at its limit for at least this share of the time in which the error grows.
+_LONG: Final = 0.25
 
 
 class WorstError(Record):
@@ -129,7 +129,7 @@ def worst_error(
         "speed limit": lambda: moment.speed_limit(robot) if robot else "",
         "start": moment.start,
         "lag": moment.lag,
-        "no feed-forward": lambda: moment.no_feedforward(robot) if robot else "",
+        "no feed-forward": moment.no_feedforward,
     }
     found = next(((cause, why) for cause, look in evidence.items() if (why := look())), None)
     cause, why = found or (None, "")
@@ -161,20 +161,23 @@ class _Moment:
         self._shares = errors / self.error if self.error else np.zeros(len(errors))
         growth = self._before(tracking.time, _GROWTH)
         small = tracking.time[growth[self._shares[growth] < _BEGUN]]
-        #: Where the cause is, and where the second half of the error grew.
+        #: When the cause may have begun, and in which states the error grew.
         self._since = float(small.max(initial=self._at - _GROWTH)) - _EARLIER
         self._rows = self._before(tracking.time, self._at - self._since)
-        half = np.flatnonzero(self._shares[self._rows] < _SHARE)
-        self._grown = self._rows[half[-1] + 1 :] if len(half) else self._rows
+        self._grown = self._before(tracking.time, self._at - self._since - _EARLIER)
         asked = session.reference
         order = np.argsort(asked.published, kind="stable")
         self._asked_at, self._asked = asked.time[order], asked.q[order, joint]
         self._phase = asked.phase[order]
         kind = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
-        wanted = {MeasuredStream: (np.sort(tracking.states[self._grown]), ("tau", "dq"))}
+        wanted: dict[type[Stream], tuple[NDArray[np.intp], Sequence[str]]] = {
+            MeasuredStream: (np.sort(tracking.states[self._grown]), ("tau",))
+        }
+        self._sent = np.zeros(0)
         if session.topics.get(kind.topic):
-            near = self._before(session.stream(kind).time, self._at - self._since)
-            wanted[kind] = (np.sort(near), ("q", "dq", "tau", "kp", "kd"))
+            self._sent = session.stream(kind).time
+            near = self._before(self._sent, self._at - self._since)
+            wanted[kind] = (np.sort(near), ("q", "tau", "kp"))
         found = session.excerpts(wanted)
         self._states, self._commands = found[MeasuredStream], found.get(kind)
 
@@ -184,18 +187,16 @@ class _Moment:
         return near[np.argsort(times[near], kind="stable")]
 
     def stall(self) -> str:
-        if self._commands is None or len(self._commands) < 2:
+        times = np.sort(self._sent)
+        first, end = np.searchsorted(times, (self._since, self._at))
+        gaps = np.diff(times[first : end + 1])  # that in which it is, too
+        if not len(gaps) or gaps.max() <= max(_STALL, 3.0 * np.median(np.diff(times))):
             return ""
-        times = np.sort(self._commands.time)
-        gaps = np.diff(times)
-        longest = int(gaps.argmax())
-        if gaps[longest] <= max(_STALL, 3.0 * np.median(gaps)):
-            return ""
-        before = self._shares[self._tracking.time <= times[longest]]
+        begun = times[first + int(gaps.argmax())]
+        before = self._shares[self._tracking.time <= begun]
         if len(before) and before[-1] >= _SHARE:
             return ""
-        ago = self._at - times[longest + 1]
-        return f"no command was sent for {1e3 * gaps[longest]:.0f} ms until {1e3 * ago:.0f} ms before"
+        return f"the stream stalled: it sent no command for {1e3 * gaps.max():.0f} ms"
 
     def slow_simulator(self) -> str:
         tracking = self._tracking
@@ -210,7 +211,7 @@ class _Moment:
             pace = passed / played if played > _EARLIER / 2 else 1.0
         if pace >= _SLOW:
             return ""
-        return f"the simulator ran at {pace:.2f} of the motion's speed"
+        return f"the simulator ran at {pace:.2f} of the motion's pace"
 
     def self_collision(self, robot: G1) -> str:
         tracking = self._tracking
@@ -235,10 +236,11 @@ class _Moment:
 
     def torque_limit(self, robot: G1) -> str:
         limit = float(robot.torque_limit[self.joint])
-        given = np.abs(self._states.tau[:, self.joint])
-        if np.mean(given >= _AT_LIMIT * limit) < _SHARE:
+        # Towards the reference.
+        given = self._states.tau[:, self.joint] * np.sign(self.error)
+        if np.mean(given >= _AT_LIMIT * limit) < _LONG:
             return ""
-        return f"its motor gives {given.max():.1f} N·m, and its limit is {limit:g}"
+        return f"its motor gives {given.max():.1f} N·m, and its limit is {limit:g} N·m"
 
     def position_limit(self, robot: G1, margin: float) -> str:
         lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin
@@ -266,13 +268,10 @@ class _Moment:
         if begun < self._since:
             return ""
         first = int(np.flatnonzero(self._tracking.time >= begun)[0])
-        if self._shares[first] >= _SHARE:
-            left = math.degrees(abs(self._shares[first] * self.error))
-            return f"it was {left:.2f} deg off when PLAY began"
-        moves = np.interp(begun + _RESPONSE, self._asked_at, self._asked) - self._asked[playing[0]]
-        if moves / self.error < _SHARE:
+        if self._shares[first] < 1.0 - _BEGUN:
             return ""
-        return f"PLAY began at {abs(moves) / _RESPONSE:.1f} rad/s, and RAMP ends at rest"
+        left = math.degrees(abs(self._shares[first] * self.error))
+        return f"RAMP left it {left:.2f} deg off"
 
     def lag(self) -> str:
         delay = self._tracking.delays.of([self.joint]) or self._tracking.delay
@@ -284,18 +283,16 @@ class _Moment:
         speed = abs(now - before) / delay.seconds
         return f"it is {1e3 * delay.seconds:.0f} ms late, and moves at {speed:.1f} rad/s"
 
-    def no_feedforward(self, robot: G1) -> str:
-        if self._commands is None or self._session.policy is not None:
+    def no_feedforward(self) -> str:
+        if self._commands is None or not len(self._commands) or self._session.policy is not None:
             return ""
         newest = self._commands[-1:]
-        kp, carried = newest.kp[0, self.joint], newest.tau[0, self.joint]
-        given = self._states.tau[-1, self.joint]
-        none = abs(carried) <= _NOTHING * robot.torque_limit[self.joint]
-        if not none or kp <= 0.0 or given / kp / self.error < _SHARE:
+        kp, given = newest.kp[0, self.joint], self._states.tau[-1, self.joint]
+        if newest.tau.any() or kp <= 0.0 or given / kp / self.error < _SHARE:
             return ""
         return (
-            f"its servo needs the error to give {abs(given):.1f} N·m with kp {kp:g}: commands carry "
-            "no torque"
+            f"commands carry no torque, and its servo gives {abs(given):.1f} N·m with kp {kp:g} "
+            "only by the error"
         )
 
 

@@ -241,11 +241,12 @@ def outcome(summary: Summary) -> str:
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
         name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
+        why = f": {summary.worst.why}" if summary.worst and summary.worst.why else ""
         parts.append(
             f"the joints followed with an RMSE of "
             f"{math.degrees(tracking.all_joints.rmse_rad):.2f} deg, at worst "
             f"{math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
-            f"{worst.max_abs_at_s:.1f} s)"
+            f"{worst.max_abs_at_s:.1f} s{why})"
         )
     elif summary.recorder or summary.stream or summary.first_ns is not None:
         parts.append("tracking error: not recorded")

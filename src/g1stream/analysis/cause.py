@@ -73,8 +73,8 @@ _MOST_POSES: Final = 50
 #: A motor, or a target, at this share of its limit is at its limit: the stream holds a joint back
 #: by the torque that it expects, which differs by some percent from what the motor then gives.
 _AT_LIMIT: Final = 0.95
-#: A motor is at its limit for at least this share of the time in which the error grows.
-_LONG: Final = 0.25
+#: A motor that is at its limit for so long, s, leaves its joint at another speed.
+_LONG: Final = 0.01
 
 
 class WorstError(Record):
@@ -161,17 +161,16 @@ class _Moment:
         self._shares = errors / self.error if self.error else np.zeros(len(errors))
         growth = self._before(tracking.time, _GROWTH)
         small = tracking.time[growth[self._shares[growth] < _BEGUN]]
-        #: When the cause may have begun, and in which states the error grew.
+        #: From here on the cause may be.
         self._since = float(small.max(initial=self._at - _GROWTH)) - _EARLIER
         self._rows = self._before(tracking.time, self._at - self._since)
-        self._grown = self._before(tracking.time, self._at - self._since - _EARLIER)
         asked = session.reference
         order = np.argsort(asked.published, kind="stable")
         self._asked_at, self._asked = asked.time[order], asked.q[order, joint]
         self._phase = asked.phase[order]
         kind = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
         wanted: dict[type[Stream], tuple[NDArray[np.intp], Sequence[str]]] = {
-            MeasuredStream: (np.sort(tracking.states[self._grown]), ("tau",))
+            MeasuredStream: (np.sort(tracking.states[self._rows]), ("tau",))
         }
         self._sent = np.zeros(0)
         if session.topics.get(kind.topic):
@@ -235,12 +234,18 @@ class _Moment:
         return text
 
     def torque_limit(self, robot: G1) -> str:
-        limit = float(robot.torque_limit[self.joint])
-        # Towards the reference.
-        given = self._states.tau[:, self.joint] * np.sign(self.error)
-        if np.mean(given >= _AT_LIMIT * limit) < _LONG:
-            return ""
-        return f"its motor gives {given.max():.1f} N·m, and its limit is {limit:g} N·m"
+        limit, sign = float(robot.torque_limit[self.joint]), np.sign(self.error)
+        for text, samples in (
+            ("its motor gave {:.1f} of the {:g} N·m that it has", self._states),
+            ("commands asked for {:.1f} of the {:g} N·m that its motor has", self._commands),
+        ):
+            if samples is None or len(samples) < 2:
+                continue
+            towards = sign * samples.tau[:, self.joint]  # the reference
+            interval = float(np.median(np.diff(np.sort(samples.time))))
+            if np.sum(towards >= _AT_LIMIT * limit) * interval >= _LONG:
+                return text.format(towards.max(), limit)
+        return ""
 
     def position_limit(self, robot: G1, margin: float) -> str:
         lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin

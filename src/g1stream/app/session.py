@@ -138,7 +138,7 @@ class Session(Recording):
         start: float | None = None,
         duration: float | None = None,
         fps: float = 25.0,
-        size: tuple[int, int] = (640, 480),
+        size: tuple[int, int] = (1280, 720),
         camera: Camera = "oblique",
         force: bool = False,
     ) -> Path:

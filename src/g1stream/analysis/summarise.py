@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import socket
 from contextlib import suppress
 from pathlib import Path
@@ -37,6 +36,7 @@ from g1stream.session.streams import (
     CommandStream,
     MeasuredStream,
     ReferenceStream,
+    warnings_in,
     without_steps,
 )
 from g1stream.text import counted
@@ -169,7 +169,7 @@ def summarise(session: Recording) -> Summary:
         *find_problems(summary),
         *_file_problems(session),
         *_sample_problems(session),
-        *_warnings(session),
+        *warnings_in(session.log, _last_command(session)),
         *problems,
     ]
     return summary
@@ -234,7 +234,7 @@ def summarise_run(
             for topic, n in recorded.counts.items()
         },
     )
-    summary.problems = list(find_problems(summary))
+    summary.problems = [*find_problems(summary), *recorded.warnings]
     return summary
 
 
@@ -413,17 +413,10 @@ def _invalid_attitudes(session: Recording) -> Iterator[str]:
             )
 
 
-def _warnings(session: Recording) -> list[str]:
-    """The warnings in /log; of those that differ in their numbers only, the last."""
-    alike: dict[str, list[str]] = {}
-    for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != GUARD:
-            text = f"{event.name}: {event.text}"
-            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
-    return [
-        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
-        for texts in alike.values()
-    ]
+def _last_command(session: Recording) -> int:
+    """When the last command was received, ns since the epoch; 0 where there was none."""
+    has_commands = session.topics.get(CommandStream.topic)
+    return int(session.command.log_time.max(initial=0)) if has_commands else 0
 
 
 def _termination(

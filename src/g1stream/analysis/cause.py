@@ -6,8 +6,8 @@ or a contact loads a motor up to its limit, and a motor at its limit makes its j
 - stall: no command was sent for longer than a servo holds its target without harm.
 - simulator: the robot's clock was slower than the motion, so that its joints had to be faster.
 - self-collision: links are inside each other in the reference, and kept apart by the robot.
+- position limit, speed limit: the motion is beyond it, and the stream held the joint's target back.
 - torque: the motor was at its limit.
-- position limit, speed limit: the stream held the joint's target back.
 - start: PLAY began with the error, which RAMP had left.
 - lag: what the joint did is what was asked of it by its usual delay earlier.
 - no feed-forward: commands carried no torque, so that the servo needed the error for its own.
@@ -46,9 +46,9 @@ CauseName = Literal[
     "stall",
     "simulator",
     "self-collision",
-    "torque",
     "position limit",
     "speed limit",
+    "torque",
     "start",
     "lag",
     "no feed-forward",
@@ -70,7 +70,7 @@ _INSIDE: Final = 0.001
 _NEAR: Final = 0.25
 #: Poses that are looked at for collisions.
 _MOST_POSES: Final = 50
-#: A motor, or a target, at this share of its limit is at its limit: the stream holds a joint back
+#: A motor at this share of its limit is at its limit: the stream holds a joint back
 #: by the torque that it expects, which differs by some percent from what the motor then gives.
 _AT_LIMIT: Final = 0.95
 #: A motor that is at its limit for so long, s, leaves its joint at another speed.
@@ -124,9 +124,9 @@ def worst_error(
         "stall": moment.stall,
         "simulator": moment.slow_simulator,
         "self-collision": lambda: moment.self_collision(robot) if robot else "",
-        "torque": lambda: moment.torque_limit(robot) if robot else "",
         "position limit": lambda: moment.position_limit(robot, margin) if robot else "",
         "speed limit": lambda: moment.speed_limit(robot) if robot else "",
+        "torque": lambda: moment.torque_limit(robot) if robot else "",
         "start": moment.start,
         "lag": moment.lag,
         "no feed-forward": moment.no_feedforward,
@@ -233,6 +233,32 @@ class _Moment:
             )
         return text
 
+    def position_limit(self, robot: G1, margin: float) -> str:
+        lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin
+        asked = self._tracking.reference[self.worst, self.joint]
+        held = float(np.clip(asked, lower, upper))
+        if (asked - held) / self.error < _SHARE:
+            return ""
+        kept = f", from which safety.position_margin keeps {margin:g} rad" if margin else ""
+        return f"{asked:.3f} rad is beyond its position limit, {held:.3f} rad{kept}"
+
+    def speed_limit(self, robot: G1) -> str:
+        if self._commands is None or not len(self._commands):
+            return ""
+        limit = float(robot.velocity[self.joint])
+        near = self._before(self._asked_at, self._at - self._since)
+        times = self._asked_at[near]
+        speeds = np.abs(np.diff(self._asked[near])) / np.maximum(np.diff(times), 1e-6)
+        missing = (
+            self._tracking.reference[self.worst, self.joint] - self._commands.q[-1, self.joint]
+        )
+        if missing / self.error < _SHARE or speeds.max(initial=0.0) <= limit:
+            return ""
+        return (
+            f"the motion moves it at {speeds.max():.1f} rad/s, and its target was held back to "
+            f"{limit:g} rad/s"
+        )
+
     def torque_limit(self, robot: G1) -> str:
         limit, sign = float(robot.torque_limit[self.joint]), np.sign(self.error)
         for text, samples in (
@@ -246,26 +272,6 @@ class _Moment:
             if np.sum(towards >= _AT_LIMIT * limit) * interval >= _LONG:
                 return text.format(towards.max(), limit)
         return ""
-
-    def position_limit(self, robot: G1, margin: float) -> str:
-        lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin
-        asked = self._tracking.reference[self.worst, self.joint]
-        held = float(np.clip(asked, lower, upper))
-        if (asked - held) / self.error < _SHARE:
-            return ""
-        kept = f", from which safety.position_margin keeps {margin:g} rad" if margin else ""
-        return f"{asked:.3f} rad is beyond its position limit, {held:.3f} rad{kept}"
-
-    def speed_limit(self, robot: G1) -> str:
-        if self._commands is None or len(self._commands) < 2:
-            return ""
-        limit = float(robot.velocity[self.joint])
-        q, times = self._commands.q[:, self.joint], self._commands.time
-        missing = self._tracking.reference[self.worst, self.joint] - q[-1]
-        steps = np.abs(np.diff(q)) / np.maximum(np.diff(times), 1e-6)
-        if missing / self.error < _SHARE or steps.max() < _AT_LIMIT * limit:
-            return ""
-        return f"its target was held back to its speed limit, {limit:g} rad/s"
 
     def start(self) -> str:
         playing = np.flatnonzero((self._phase == Phase.PLAY) & (self._asked_at <= self._at))

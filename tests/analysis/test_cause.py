@@ -196,3 +196,8 @@ def test_a_file_and_a_selection_tell_the_same(tmp_path):
     assert cause(saved) == cause(session)
     part = session.sel(time=slice(0.5, 1.0))
     assert worst_error(part, part.tracking(), None) == cause(session)
+
+
+def test_no_error_has_no_cause(play, write_session):
+    found = cause(open_session(write_session(*play(0.0))))
+    assert (found.error_rad, found.cause, found.why) == (0.0, None, "")

@@ -131,8 +131,8 @@ def worst_error(
         "lag": moment.lag,
         "no feed-forward": moment.no_feedforward,
     }
-    found = next(((cause, why) for cause, look in evidence.items() if (why := look())), None)
-    cause, why = found or (None, "")
+    found = ((cause, why) for cause, look in evidence.items() if (why := look()))
+    cause, why = (moment.error and next(found, None)) or (None, "")
     joint = JOINT_NAMES[moment.joint]
     at = float(tracking.motion_time[moment.worst])
     return WorstError(joint=joint, error_rad=moment.error, at_s=at, cause=cause, why=why)
@@ -158,7 +158,7 @@ class _Moment:
         self.worst = int(np.abs(errors).argmax())
         self.error = float(errors[self.worst])
         self._at = float(tracking.time[self.worst])
-        self._shares = errors / self.error if self.error else np.zeros(len(errors))
+        self._shares = errors / (self.error or 1.0)
         growth = self._before(tracking.time, _GROWTH)
         small = tracking.time[growth[self._shares[growth] < _BEGUN]]
         #: From here on the cause may be.

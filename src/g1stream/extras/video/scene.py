@@ -108,10 +108,11 @@ class Scene:
             else:
                 what = self._model, self._data, self._options, self._perturb
                 mujoco.mjv_addGeoms(*what, dynamic, scene)
-            if posed.tint:
-                for geom in scene.geoms[first : scene.ngeom]:
-                    if geom.category == dynamic:
-                        geom.rgba[:] = posed.tint
+            for geom in scene.geoms[first : scene.ngeom]:
+                if posed.tint and geom.category == dynamic:
+                    geom.rgba[:] = posed.tint
+                if posed.ghost:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # it casts no shadow
         picture: NDArray[np.uint8] = self._renderer.render()
         return picture
 

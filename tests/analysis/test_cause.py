@@ -164,6 +164,20 @@ def test_a_simulator_that_is_too_slow():
     assert "0.50" in found.why
 
 
+def test_a_simulator_that_stalls_for_a_moment():
+    step = SimulatedRobot.step
+
+    def pause(self, now):
+        if not 0 <= now - round((RAMP + BEGIN + 0.25) * 1e9) < 8_000_000:
+            step(self, now)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedRobot, "step", pause)
+        found = cause(played(motion(PITCH, swing(0.6, 1.0))))
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "simulator")
+    assert "ms behind" in found.why
+
+
 def test_what_is_late():
     found = cause(played(motion(PITCH, swing(0.6, 1.0)), feedforward="none"))
     assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "lag")

@@ -4,7 +4,7 @@ Causes are looked for in this order. One may bring about those after it, and non
 or a contact loads a motor up to its limit, and a motor at its limit makes its joint late.
 
 - stall: no command was sent for longer than a servo holds its target without harm.
-- simulator: the robot's clock was slower than the motion, so that its joints had to be faster.
+- simulator: the robot's clock was slower than the motion, or stood still for a moment.
 - self-collision: links are inside each other in the reference, and kept apart by the robot.
 - position limit, speed limit: the motion is beyond it, and the stream held the joint's target back.
 - torque: the motor was at its limit.
@@ -64,6 +64,8 @@ _SHARE: Final = 0.5
 _STALL: Final = 0.02
 #: The robot's time over the motion's, below which a simulator is too slow.
 _SLOW: Final = 0.8
+#: A robot whose clock counts in ms is behind the motion if it is so by this, s.
+_BEHIND: Final = 0.003
 #: Depth of two links in each other that is no rounding of their hulls, m.
 _INSIDE: Final = 0.001
 #: Links that a robot keeps apart touch within this share of the way to its reference.
@@ -185,6 +187,15 @@ class _Moment:
         near = np.flatnonzero((times <= self._at) & (times >= self._at - seconds))
         return near[np.argsort(times[near], kind="stable")]
 
+    def _moved(self, seconds: float) -> float:
+        """By how much the reference moved in the last `seconds`, rad."""
+        before, now = np.interp([self._at - seconds, self._at], self._asked_at, self._asked)
+        return float(now - before)
+
+    def _explains(self, late: float) -> bool:
+        """Whether a joint that is `late` by so many s, and is so right, has about this error."""
+        return _SHARE <= self._moved(late) / self.error <= 2.0 - _SHARE
+
     def stall(self) -> str:
         times = np.sort(self._sent)
         first, end = np.searchsorted(times, (self._since, self._at))
@@ -208,6 +219,9 @@ class _Moment:
         else:
             passed = (int(ticks[-1]) - int(ticks[0])) % 2**32 / 1e3
             pace = passed / played if played > _EARLIER / 2 else 1.0
+            behind = played - passed
+            if pace >= _SLOW and behind >= _BEHIND and self._explains(behind):
+                return f"the simulator stalled: it was {1e3 * behind:.0f} ms behind the motion"
         if pace >= _SLOW:
             return ""
         return f"the simulator ran at {pace:.2f} of the motion's pace"
@@ -288,10 +302,9 @@ class _Moment:
         delay = self._tracking.delays.of([self.joint]) or self._tracking.delay
         if delay is None or delay.seconds <= 0.0:
             return ""
-        before, now = np.interp([self._at - delay.seconds, self._at], self._asked_at, self._asked)
-        if (now - before) / self.error < _SHARE or (now - before) / self.error > 2.0 - _SHARE:
+        if not self._explains(delay.seconds):
             return ""
-        speed = abs(now - before) / delay.seconds
+        speed = abs(self._moved(delay.seconds)) / delay.seconds
         return f"it is {1e3 * delay.seconds:.0f} ms late, and moves at {speed:.1f} rad/s"
 
     def no_feedforward(self) -> str:

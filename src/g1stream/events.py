@@ -20,10 +20,21 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["GUARD", "QUIET", "ConsoleHandler", "handled_by", "is_quiet", "severity"]
+__all__ = [
+    "GUARD",
+    "LOWCMD_TIMEOUT",
+    "QUIET",
+    "ConsoleHandler",
+    "handled_by",
+    "is_quiet",
+    "severity",
+]
 
 GUARD: Final = "guard"
 """The guard process logs under this name, and only when it damps."""
+
+LOWCMD_TIMEOUT: Final = "LowCmd timeout"
+"""What a simulator logs when commands stop coming begins with this."""
 
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())

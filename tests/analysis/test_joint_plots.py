@@ -30,6 +30,19 @@ def test_a_row_for_each_joint_and_a_column_for_each_quantity(session):
     assert [axes.get_xlabel() for axes in figure.axes[2:]] == ["time since the motion began, s"] * 2
 
 
+def test_the_quantities_of_few_joints_are_below_each_other(session):
+    figure = session.plot("left_knee", ["q", "error", "dq"])
+    labels = "position, deg", "error, deg", "velocity, deg/s"
+    assert _panels(figure) == [("left_knee", label) for label in labels]
+    tops = [axes.get_subplotspec().rowspan.start for axes in figure.axes]
+    assert tops == [0, 1, 2]
+    width, height = figure.get_size_inches()
+    assert 1.0 < width / height < 2.0
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", "", "time since the motion began, s"]
+    two = session.plot(["left_knee", "right_knee"], ["q", "error", "dq"])
+    assert [name for name, _ in _panels(two)] == ["left_knee", "right_knee"] * 3
+
+
 def test_more_joints_than_the_overview_has_room_for(session):
     assert len(session.plot("left_.*").axes) == 13
     assert len(session.plot(["left_knee", "left_.*_roll"]).axes) == 5 + 2  # error and RMSE

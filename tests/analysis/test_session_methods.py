@@ -75,3 +75,23 @@ def test_an_unknown_phase_is_named_beside_those_there_are(session):
         session.sel("JUMP")
     assert "JUMP" in error.value.cause
     assert "PLAY" in error.value.remedy
+
+
+def test_without_a_topic_the_joints_in_play_are_side_by_side(play, write_session):
+    pytest.importorskip("pandas", reason="the extra `export` is not installed")
+    session = g1stream.open_session(write_session(*play(0.04)))
+    found = session.tracking()
+    table = session.to_dataframe()
+    assert table.index.name == "time"
+    np.testing.assert_array_equal(table.index, found.time)
+    assert list(table.columns[:3]) == [
+        f"{what}.left_hip_pitch_joint" for what in ("reference", "measured", "error")
+    ]
+    assert len(table.columns) == 3 * 29
+    knee = table.filter(like="left_knee")
+    np.testing.assert_array_equal(knee["reference.left_knee_joint"], found.reference[:, 3])
+    np.testing.assert_allclose(
+        knee["reference.left_knee_joint"] - knee["measured.left_knee_joint"],
+        knee["error.left_knee_joint"],
+    )
+    assert np.sqrt((knee["error.left_knee_joint"] ** 2).mean()) == pytest.approx(found.rmse[3])

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from pathlib import Path
 
 import pytest
 
 from g1stream.app import record as program
+from g1stream.app.session import open_session
 from g1stream.cli.command import EXIT_STOPPED, exit_code
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowState
+from g1stream.dds.log_handler import LogHandler
+from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState
 from g1stream.errors import ConfigError, WireError
 from g1stream.recorder import recorder
 from g1stream.robot.model import G1
@@ -100,6 +103,45 @@ def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tm
         for stamp in messages.log_times.tolist()
     ]
     assert len(set(times)) == 10
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_the_recorder_and_its_file_tell_the_same_problems(
+    config, domain_id, tmp_path, until, goes_on
+):
+    """That commands have stopped is one where they come again, and none at the program's end."""
+    stop, path, summaries = threading.Event(), tmp_path / "s.mcap", []
+    with Participant(domain_id, "lo") as participant:
+        states, commands, log = (RawWriter(participant, t, 20) for t in (LOWSTATE, LOWCMD, LOG))
+        handler = LogHandler("sim", log.write)
+        logger = logging.getLogger("g1stream.test_record")
+        logger.addHandler(handler)
+        thread = threading.Thread(
+            target=lambda: summaries.append(program.record(path, config, should_stop=stop.is_set))
+        )
+        thread.start()
+        try:
+            until(lambda: states.matched and commands.matched and log.matched, "the recorder")
+            for _ in range(3):
+                states.write(LowState().seal())
+                commands.write(LowCmd().seal())
+                stop.wait(0.02)
+            logger.warning("LowCmd timeout: the motors only damp")
+            logger.warning("3 of 29 motors are hot")
+            for _ in range(3 * goes_on):
+                stop.wait(0.02)
+                commands.write(LowCmd().seal())
+            stop.wait(0.3)
+        finally:
+            logger.removeHandler(handler)
+            stop.set()
+            thread.join()
+    (told,) = summaries
+    timeout = ["sim: LowCmd timeout: the motors only damp"] * goes_on
+    assert [p for p in told.problems if "sim:" in p] == [*timeout, "sim: 3 of 29 motors are hot"]
+    found = open_session(path).summary()
+    assert [p for p in found.problems if "sim:" in p] == [p for p in told.problems if "sim:" in p]
+    assert found.recorder.warnings == told.recorder.warnings
 
 
 def test_a_robot_that_cannot_be_shown_leaves_no_file(config, tmp_path):

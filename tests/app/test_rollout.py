@@ -26,6 +26,31 @@ def session() -> Session:
     return rollout("demo", seconds=2.0, config=config())
 
 
+def test_gains_are_a_number_or_by_joint():
+    def gains_of(session):
+        command = session.command
+        play = command[(command.time > 0.0) & (command.time < 0.1)]
+        return play.kp[0], play.kd[0]
+
+    def gains(**given):
+        return gains_of(rollout("demo", seconds=0.1, config=config(), **given))
+
+    usual, damping = gains()
+    kp, kd = gains(kp=60, kd={"arms": 1.5, "left_elbow_joint": 2.5})
+    assert set(kp) == {60.0}
+    elbow, right = (JOINT_NAMES.index(f"{side}_elbow_joint") for side in ("left", "right"))
+    assert (kd[elbow], kd[right]) == (2.5, 1.5)
+    np.testing.assert_array_equal(kd[:15], damping[:15])
+    given = {"gains": {"kp": {"left_knee_joint": 123.0, "legs": 80.0}}}
+    over, _ = gains_of(rollout("demo", seconds=0.1, config=config(**given), kp={"waist": 90.0}))
+    knee = JOINT_NAMES.index("left_knee_joint")
+    assert (over[knee], over[12], over[elbow]) == (80.0, 90.0, usual[elbow])
+    with pytest.raises(ConfigError, match="tail"):
+        rollout("demo", seconds=0.1, kp={"tail": 60.0})
+    with pytest.raises(ConfigError, match=r"gains\.kp"):
+        rollout("demo", seconds=0.1, kp=-1.0)
+
+
 @pytest.mark.slow
 def test_it_is_the_same_byte_for_byte(session):
     again = rollout("demo", seconds=2.0, config=config())

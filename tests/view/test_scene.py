@@ -176,10 +176,45 @@ def test_the_scale_of_a_visual_is_in_the_points(robot, tmp_path):
         urdf=f"<robot>{xml}</geometry></visual></link></robot>",
         source=str(tmp_path / "g1.urdf"),
     )
-    ((shape, triangles),) = draw_meshes(made).items()
+    ((shape, mesh),) = draw_meshes(made).items()
     assert shape.scale == (2, -1, 0.5)
-    assert np.ptp(points(triangles), axis=0).tolist() == [0.5, 0.5, 0.5]
-    assert len(triangles.indices) == 36
+    assert np.ptp(mesh.points, axis=0).tolist() == [0.5, 0.5, 0.5]
+    assert mesh.triangles.shape == (12, 3)
+    (entity,) = SceneUpdate.FromString(encode_scene(T0, made, drawn={shape: mesh})).entities
+    assert np.ptp(points(entity.triangles[0]), axis=0).tolist() == [0.5, 0.5, 0.5]
+    volume = trimesh.Trimesh(mesh.points, mesh.triangles, process=False).volume
+    assert volume == pytest.approx(0.125)  # its outside is outside, though it is mirrored
+
+
+def test_a_ghost_is_inside_the_robot(robot, real, drawn):
+    for one, meshes in ((robot, {}), (real, drawn)):
+        shown, ghost = (
+            SceneUpdate.FromString(encode_scene(T0, one, drawn=meshes, ghost=ghost)).entities
+            for ghost in (False, True)
+        )
+        for whole, smaller in zip(shown, ghost, strict=True):
+            for a, b in zip(shapes(whole), shapes(smaller), strict=True):
+                assert a.pose == b.pose
+                sizes = np.array([[s.size.x, s.size.y, s.size.z] for s in (a, b)])
+                inset = np.minimum(0.004, sizes[0] / 2)
+                assert sizes[0] - sizes[1] == pytest.approx(inset)
+            for a, b in zip(whole.triangles, smaller.triangles, strict=True):
+                assert a.pose == b.pose
+                assert a.indices == b.indices
+                moved = np.linalg.norm(points(a) - points(b), axis=1)
+                assert np.median(moved) == pytest.approx(0.002, abs=2e-4)
+                volumes = [
+                    trimesh.Trimesh(points(m), np.reshape(m.indices, (-1, 3)), process=False).volume
+                    for m in (a, b)
+                ]
+                assert volumes[1] < volumes[0]
+
+
+def test_a_session_has_a_ghost_that_is_smaller(robot):
+    header = {one.topic: one.payloads[0] for one in MessagePipeline(robot).file_header(T0)}
+    assert header["/ghost/scene"] == encode_scene(
+        T0, robot, GHOST_PREFIX, (0.1, 0.6, 1.0, 0.3), ghost=True
+    )
 
 
 def test_meshes_without_scenes_are_refused(robot):

@@ -68,6 +68,8 @@ _COMPARED: Final = (ReferenceStream.topic, MeasuredStream.topic)
 #: Of the overview, and of a panel elsewhere with what the figure needs above them, inches.
 _INCHES: Final = (16.0, 10.0)
 _PANEL_WIDTH, _PANEL_HEIGHT, _HEAD = 7.0, 1.7, 0.5
+#: Height of panels of quantities below each other, inches, and least width of a figure, panels.
+_TALL_PANEL, _LEAST_WIDTH = 2.4, 1.5
 _DPI: Final = 100
 _MOST_POINTS: Final = 4000
 
@@ -298,7 +300,10 @@ def _annotate(
 
 
 def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:
-    """A row for each joint and a column for each quantity, over time, with the phases shaded."""
+    """A row for each joint and a column for each quantity, over time, with the phases shaded.
+
+    Fewer joints than quantities are the columns instead, so that the figure is no strip.
+    """
     from matplotlib import style
     from matplotlib.figure import Figure
 
@@ -312,15 +317,19 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
     first, last = min(float(one[0]) for one in ends), max(float(one[1]) for one in ends)
     phases = session.phases
     with style.context(["default", dict(_STYLE)]):
-        size = (_PANEL_WIDTH * len(signals), _PANEL_HEIGHT * len(joints) + _HEAD)
+        stacked = len(joints) < len(signals)
+        shape = (len(signals), len(joints)) if stacked else (len(joints), len(signals))
+        height = _TALL_PANEL if stacked else _PANEL_HEIGHT
+        size = (_PANEL_WIDTH * max(shape[1], _LEAST_WIDTH), height * shape[0] + _HEAD)
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         figure.suptitle(session.path.name, color=_MUTED)
-        panels = figure.subplots(len(joints), len(signals), squeeze=False, sharex=True)
-        for row, joint in zip(panels, joints, strict=True):
+        panels = figure.subplots(*shape, squeeze=False, sharex=True)
+        by_joint = panels.T if stacked else panels
+        for row, joint in zip(by_joint, joints, strict=True):
             for axes, one in zip(row, signals, strict=True):
                 _draw_panel(axes, one, joint, (first, last))
                 _shade_phases(axes, phases)
-        for axes, one in zip(panels[0], signals, strict=True):
+        for axes, one in zip(by_joint[0], signals, strict=True):
             if one.lines:
                 axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=2)
         for axes in panels[-1]:

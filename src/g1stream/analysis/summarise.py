@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import socket
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream._version import __version__
+from g1stream.analysis.cause import worst_error
 from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
@@ -36,6 +36,7 @@ from g1stream.session.streams import (
     CommandStream,
     MeasuredStream,
     ReferenceStream,
+    warnings_in,
     without_steps,
 )
 from g1stream.text import counted
@@ -161,11 +162,15 @@ def summarise(session: Recording) -> Summary:
     )
     if summary.moves and summary.tracking:
         summary.spoilt_by_ms = _longest_stall(session)
+    if summary.tracking:
+        kept = (summary.settings or {}).get("safety.position_margin", 0.0)
+        margin = kept if isinstance(kept, float) else 0.0
+        summary.worst = worst_error(session, tracking(session), stream, margin)
     summary.problems = [
         *find_problems(summary),
         *_file_problems(session),
         *_sample_problems(session),
-        *_warnings(session),
+        *warnings_in(session.log, _last_command(session)),
         *problems,
     ]
     return summary
@@ -232,7 +237,7 @@ def summarise_run(
             for topic, n in recorded.counts.items()
         },
     )
-    summary.problems = list(find_problems(summary))
+    summary.problems = [*find_problems(summary), *recorded.warnings]
     return summary
 
 
@@ -411,17 +416,10 @@ def _invalid_attitudes(session: Recording) -> Iterator[str]:
             )
 
 
-def _warnings(session: Recording) -> list[str]:
-    """The warnings in /log; of those that differ in their numbers only, the last."""
-    alike: dict[str, list[str]] = {}
-    for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != GUARD:
-            text = f"{event.name}: {event.text}"
-            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
-    return [
-        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
-        for texts in alike.values()
-    ]
+def _last_command(session: Recording) -> int:
+    """When the last command was received, ns since the epoch; 0 where there was none."""
+    has_commands = session.topics.get(CommandStream.topic)
+    return int(session.command.log_time.max(initial=0)) if has_commands else 0
 
 
 def _termination(

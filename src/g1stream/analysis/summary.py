@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import computed_field
 
 from g1stream.analysis.body import TerminationMetrics
+from g1stream.analysis.cause import WorstError
 from g1stream.analysis.tracking import TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
@@ -163,6 +164,7 @@ class Summary(Record):
         feedforward_log: what was logged of feed-forward, also by a stream that was killed.
         recorder: what the recorder counted.
         tracking: how closely the robot followed.
+        worst: the greatest error of a joint, and its cause.
         spoilt_by_ms: the longest time for which the robot's own time stood still or leapt in PLAY,
             above 40 ms and where nothing held the pelvis: the run tells nothing of its controller.
         success, terminations: of a robot that nothing held; only `g1stream info` fills them in,
@@ -195,6 +197,7 @@ class Summary(Record):
     feedforward_log: list[str] = []
     recorder: RecorderSummary | None = None
     tracking: TrackingSummary | None = None
+    worst: WorstError | None = None
     spoilt_by_ms: float | None = None
     success: SuccessMetrics | None = None
     terminations: TerminationMetrics | None = None
@@ -238,11 +241,12 @@ def outcome(summary: Summary) -> str:
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
         name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
+        why = f": {summary.worst.why}" if summary.worst and summary.worst.why else ""
         parts.append(
             f"the joints followed with an RMSE of "
             f"{math.degrees(tracking.all_joints.rmse_rad):.2f} deg, at worst "
             f"{math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
-            f"{worst.max_abs_at_s:.1f} s)"
+            f"{worst.max_abs_at_s:.1f} s{why})"
         )
     elif summary.recorder or summary.stream or summary.first_ns is not None:
         parts.append("tracking error: not recorded")
@@ -479,10 +483,11 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
         delay = "found in recordings only: give --record"
     else:
         delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
+    worst = str(summary.worst) if summary.worst else ""
     return [
         *table(rows, left=(0, 5)),
         "",
-        *_lines([("delay", delay), ("compared", compared), *_success(summary)]),
+        *_lines([("worst", worst), ("delay", delay), ("compared", compared), *_success(summary)]),
     ]
 
 

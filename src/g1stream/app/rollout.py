@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -47,6 +47,8 @@ def rollout(
     announced: Support | None = None,
     noise: Callable[[LowState], None] | None = None,
     policy: str | Path | None = None,
+    kp: float | Mapping[str, float] | None = None,
+    kd: float | Mapping[str, float] | None = None,
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
 
@@ -77,6 +79,9 @@ def rollout(
             `config.sim.noise` and `config.sim.seed` if None.
         policy: ONNX file of a learned policy that plays the motion on free feet (extra `policy`);
             `config.stream.policy` if None.
+        kp: servo gain, N·m/rad: of all joints, or by joint, limb or pattern, such as
+            {"arms": 60.0, "*_knee_joint": 150.0}; over those of `config.gains`.
+        kd: likewise, N·m·s/rad.
 
     Returns:
         The session in memory, with all channels of a recorded one; `save` writes it into a file.
@@ -91,7 +96,7 @@ def rollout(
     if config.stream.policy:
         support = support or "free"
         feedforward = feedforward or config.stream.feedforward or "dynamics"
-    config = _resolve(config, support, feedforward, seconds, joints)
+    config = _resolve(config, support, feedforward, seconds, joints, {"kp": kp, "kd": kd})
     planned = plan(motion, config, simulated=True)
     robot = planned.robot
     pipeline = MessagePipeline(robot, config.record, planned.source.about())
@@ -142,6 +147,7 @@ def _resolve(
     feedforward: FeedForwardKind | None,
     seconds: float | None,
     joints: str | None,
+    gains: Mapping[str, float | Mapping[str, float] | None],
 ) -> Config:
     """The config with the arguments of a rollout over its values."""
     if support not in (None, *get_args(StreamSupport)):
@@ -165,6 +171,7 @@ def _resolve(
             "stream.duration": None if seconds is None else float(seconds),
             "stream.joints": joints,
         }
+        | {f"gains.{name}": _by_joint(given) for name, given in gains.items()}
     )
     if config.stream.via != "lowcmd":
         raise ConfigError(
@@ -177,6 +184,13 @@ def _resolve(
             "Give `seconds`, or stream.duration.",
         )
     return config
+
+
+def _by_joint(gain: float | Mapping[str, float] | None) -> dict[str, float] | None:
+    """A table of gains as a config has it."""
+    if gain is None:
+        return None
+    return dict(gain) if isinstance(gain, Mapping) else {"*": gain}
 
 
 @contextmanager

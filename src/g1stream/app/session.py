@@ -138,7 +138,7 @@ class Session(Recording):
         start: float | None = None,
         duration: float | None = None,
         fps: float = 25.0,
-        size: tuple[int, int] = (640, 480),
+        size: tuple[int, int] = (1280, 720),
         camera: Camera = "oblique",
         force: bool = False,
     ) -> Path:
@@ -211,23 +211,40 @@ class Session(Recording):
                 writer.write(topic, message.data, message.log_time, message.publish_time)
         return path
 
-    def to_dataframe(self, topic: str) -> pandas.DataFrame:
-        """The samples of a topic as a pandas table; needs the extra `export`.
+    def to_dataframe(self, topic: str | None = None) -> pandas.DataFrame:
+        """The joints in PLAY, or a topic's samples, as a pandas table; needs the extra `export`.
 
         Args:
-            topic: one of `STREAMS`, such as `/lowstate`.
+            topic: one of `STREAMS`, such as `/lowstate`; None: how closely the joints followed.
 
         Returns:
-            A row for each sample, indexed by `publish_time`, UTC to the nanosecond, as is the
-            column `log_time`; `time` is in s on the motion's clock. Other columns are named as
-            those of the topic's stream, arrays by joint, axis or term: `q.left_knee_joint`,
+            Of a topic: a row for each sample, indexed by `publish_time`, UTC to the nanosecond, as
+            is the column `log_time`; `time` is in s on the motion's clock. Other columns are named
+            as those of the topic's stream, arrays by joint, axis or term: `q.left_knee_joint`,
             `root_pos.x`, `imu_quat_wxyz.w`, `base_ang_vel.0`. Units are those of the stream.
+
+            Without one: a row for each LowState in PLAY, indexed by `time`, s on the motion's
+            clock. Of each joint that played there are `reference.left_knee_joint`, `measured.` and
+            `error.`, side by side, rad; the error is reference - measured, as in `tracking`.
 
         Raises:
             ConfigError: pandas is not installed.
-            RecordingError: the topic is not one of those.
+            RecordingError: the topic is not one of those, or there is nothing to compare.
         """
         table = import_extra("pandas", *_EXPORT)
+        if topic is None:
+            found = self.tracking()
+            angles = {
+                "reference": found.reference,
+                "measured": found.measured,
+                "error": found.error,
+            }
+            followed = {
+                f"{what}.{JOINT_NAMES[joint]}": values[:, joint]
+                for joint in found.joints
+                for what, values in angles.items()
+            }
+            return table.DataFrame(followed, index=table.Index(found.time, name="time"))
         if topic not in STREAMS:
             raise RecordingError(
                 f"There is no table for the topic {topic}.", f"Choose from {', '.join(STREAMS)}."

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
 
 _PERIOD_S: Final = 0.1
+#: Between lines of progress where standard error is no terminal.
+_IN_PIPE_S: Final = 5.0
 _JOIN_TIMEOUT_S: Final = 1.0
 _BAR: Final = 20
 #: Erases from the cursor to the end of the screen.
@@ -106,14 +108,17 @@ class ProgressDisplay:
 
 @contextmanager
 def showing_progress() -> Iterator[Callable[[str, float], None]]:
-    """A status while something is read; the callback gets what is done and which fraction of it."""
+    """A status while something is read; the callback gets what is done and which fraction of it.
+
+    Where standard error is no terminal, it is a line every few seconds.
+    """
     done: tuple[float | None, str] = None, "reading"
 
     def progress(what: str, fraction: float) -> None:
         nonlocal done
         done = fraction, f"{what} {100 * fraction:3.0f} %"
 
-    with ProgressDisplay(lambda: done):
+    with ProgressDisplay(lambda: done, in_pipe=_IN_PIPE_S):
         yield progress
 
 

@@ -40,7 +40,7 @@ class Render(SessionFlags, QuietFlag):
     )
     duration: float | None = flag(None, "Length.", "SECONDS", shown="to the end", gt=0)
     fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
-    size: str = flag("640x480", "Width and height, pixels.", "WxH")
+    size: str = flag("1280x720", "Width and height, pixels.", "WxH")
     camera: Camera = flag("oblique", "Where the camera stands around the robot.", shown="oblique")
     force: bool = flag(False, "Replace a file that is there.")
 
@@ -68,8 +68,8 @@ class Render(SessionFlags, QuietFlag):
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of a size such as `640x480`."""
+    """Width and height of a size such as `1280x720`."""
     width, _, height = text.partition("x")
     if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
-        raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")
+        raise ConfigError(f"{text} is not a size.", "Give width and height such as 1280x720.")
     return int(width), int(height)

@@ -26,6 +26,7 @@ from g1stream.recorder.diagnostics import (
 )
 from g1stream.session.format import CHANNEL_OF, MessageBatch, encode_log
 from g1stream.session.records import RecorderSummary, TopicDelay
+from g1stream.session.streams import LogEvent, warnings_in
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -147,6 +148,8 @@ class Recorder:
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
         self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)
+        self._log: list[LogEvent] = []
+        self._last_command = 0
         self._drops_due = 0.0
         self._aligned = self._overrun = False
         self.report = RecorderSummary()
@@ -230,8 +233,12 @@ class Recorder:
                 self._losses.add(name, batch)
                 self._check_publishers(name, batch)
                 self._check_delay(name, batch)
+        if commands := batches.get(LOWCMD.name):
+            self._last_command = commands.log_times[-1]
         for messages in (*raw_messages(batches), *self._pipeline.encode(batches)):
             self._writer.write_batch(*messages)
+            if messages.topic == "/log":
+                self._log += map(LogEvent.decode, messages.payloads)
         self._check_alignment()
         self._check_losses()
         self._check_clock()
@@ -246,6 +253,7 @@ class Recorder:
             record = self._events.get()
             logged = int(record.created * 1e9)
             line = encode_log(logged, severity(record), "record", record.getMessage())
+            self._log.append(LogEvent.decode(line))
             self._writer.write("/log", line, time.time_ns(), logged)
 
     def _check_delay(self, name: str, batch: Batch) -> None:
@@ -343,6 +351,7 @@ class Recorder:
         report.clock_steps = self._steps.steps
         base = self._pipeline.base
         report.measured_tf = base.summary() if base else None
+        report.warnings = warnings_in(self._log, self._last_command)
         report.path = str(self._writer.path)
         report.paths = [str(path) for path in self._writer.paths]
         for name, delays in self._delays.items():

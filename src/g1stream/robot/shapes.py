@@ -25,6 +25,7 @@ from g1stream.robot.urdf import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from xml.etree.ElementTree import Element
 
     from numpy.typing import NDArray
@@ -34,6 +35,7 @@ __all__ = [
     "Visual",
     "decimate",
     "find_mesh",
+    "ghost_size",
     "has_meshes",
     "missing_meshes",
     "parse_visuals",
@@ -46,6 +48,9 @@ __all__ = [
 
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
+#: A ghost is smaller by this on every side, m: where two surfaces coincide, a viewer shows now this
+#: and now that one. An error that moves a link by less leaves the ghost inside the robot.
+_GHOST_INSET: Final = 0.002
 _GREY: Final = (0.7, 0.7, 0.7, 1.0)
 #: What a shape of each kind has to say.
 _NEEDED: Final = {
@@ -81,6 +86,11 @@ class Visual:
     rgba: tuple[float, ...]  # (4,) each from 0 to 1; grey where the URDF names no colour
     coloured: bool  # the URDF names a colour
     mesh: str = ""  # the file as the URDF names it; empty for other kinds
+
+
+def ghost_size(size: Sequence[float]) -> tuple[float, ...]:
+    """The extent (3,) of a ghost's box, sphere or cylinder, by that of the robot's, m."""
+    return tuple(max(one - 2.0 * _GHOST_INSET, one / 2) for one in size)
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
@@ -194,6 +204,22 @@ class Mesh(NamedTuple):
 
     points: NDArray[np.float32]
     triangles: NDArray[np.int32]
+
+    def scaled(self, scale: Sequence[float]) -> Mesh:
+        """The mesh scaled along its axes (3,); one that is mirrored has its outside outside."""
+        points = self.points * np.array(scale, np.float32)
+        return Mesh(points, self.triangles[:, ::-1] if np.prod(scale) < 0.0 else self.triangles)
+
+    def of_ghost(self) -> Mesh:
+        """The same of a ghost, each point moved inward; points are in m."""
+        corners = self.points[self.triangles].astype(np.float64)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        outward = np.zeros(self.points.shape)
+        for corner in self.triangles.T:
+            np.add.at(outward, corner, normals)
+        length = np.linalg.norm(outward, axis=1, keepdims=True)
+        outward = np.divide(outward, length, out=outward, where=length > 0.0)
+        return Mesh((self.points - _GHOST_INSET * outward).astype(np.float32), self.triangles)
 
 
 def real_g1() -> G1 | None:

@@ -247,6 +247,39 @@ class Recording:
             for kind, found in self._columns(wanted).items():
                 streams[kind].keep(found)
 
+    def excerpts(
+        self, wanted: Mapping[type[Stream], tuple[NDArray[np.intp], Sequence[str]]]
+    ) -> dict[type[Stream], Any]:
+        """Some samples of streams; columns that are not read yet are read of these alone.
+
+        Args:
+            wanted: by stream, indices (K,) of samples, rising, and names of columns.
+
+        Raises:
+            RecordingError: the file is damaged, or a stream has no such column.
+        """
+        parts = {
+            kind: self.stream(kind)[rows]
+            for kind, (rows, columns) in wanted.items()
+            if self._whole is not None or not self.stream(kind).missing(*columns)
+        }
+        kinds = {kind.topic: kind for kind in wanted if kind not in parts}
+        data: dict[str, list[bytes]] = {topic: [] for topic in kinds}
+        begun: Counter[str] = Counter()
+        for topic, messages in self.source.batches(set(kinds)) if kinds else ():
+            inside = wanted[kinds[topic]][0] - begun[topic]
+            inside = inside[(inside >= 0) & (inside < len(messages.log_times))]
+            data[topic] += [messages.data[i] for i in inside.tolist()]
+            begun[topic] += len(messages.log_times)
+        for topic, kind in kinds.items():
+            rows, columns = wanted[kind]
+            found, whole = self.samples(kind, data[topic]), self.stream(kind)
+            paths = kind.wire_fields()
+            part = whole[rows]
+            part.keep({name: found[paths[name]] for name in columns})
+            parts[kind] = part
+        return parts
+
     @cached_property
     def robot(self) -> G1:
         """The robot of the attached URDF; the default one where none is attached.

@@ -549,6 +549,7 @@ class RecorderSummary(Record):
         clock_steps: when CLOCK_REALTIME was set, and by how much.
         delays: by topic.
         measured_tf: how the measured robot was placed.
+        warnings: those in the log, as `g1stream.session.streams.warnings_in` tells them.
     """
 
     path: str = ""
@@ -567,6 +568,7 @@ class RecorderSummary(Record):
     clock_steps: list[ClockStep] = []
     delays: dict[str, TopicDelay] = {}
     measured_tf: MeasuredTf | None = None
+    warnings: list[str] = []
 
     @property
     def complete(self) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
@@ -13,6 +14,7 @@ from google.protobuf.message import DecodeError
 
 from g1stream.dds import messages
 from g1stream.errors import RecordingError
+from g1stream.events import GUARD, LOWCMD_TIMEOUT
 from g1stream.input_limits import LATEST_NS, NUMBER
 from g1stream.session.records import PhaseInterval
 from g1stream.text import counted
@@ -40,6 +42,7 @@ __all__ = [
     "delays_of_steps",
     "neighbours",
     "read_only",
+    "warnings_in",
     "without_steps",
 ]
 
@@ -492,6 +495,7 @@ STREAMS: Final[Mapping[str, type[Stream]]] = {
 }
 """The kind of stream of each topic that has one."""
 
+_SERIOUS: Final = {"WARNING", "ERROR", "FATAL"}
 _LEVELS: Final = {number: name for name, number in Log.Level.items()}
 
 
@@ -526,6 +530,28 @@ class LogEvent(NamedTuple):
             ) from error
         level = _LEVELS.get(message.level, "UNKNOWN")
         return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)
+
+
+def warnings_in(log: Iterable[LogEvent], last_command: int) -> list[str]:
+    """The warnings and errors in a log; of those that differ in their numbers only, the last.
+
+    What the guard logs is left out, and a simulator that tells that commands have stopped after the
+    last of all: then their program has ended.
+
+    Args:
+        log: in the order of the file.
+        last_command: when that was received, ns since the epoch; 0 if there was none.
+    """
+    alike: dict[str, list[str]] = {}
+    for event in log:
+        ended = event.text.startswith(LOWCMD_TIMEOUT) and event.time > last_command
+        if event.level in _SERIOUS and event.name != GUARD and not ended:
+            text = f"{event.name}: {event.text}"
+            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    return [
+        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
+        for texts in alike.values()
+    ]
 
 
 def without_steps(times: Ints, steps: Sequence[int]) -> Ints:

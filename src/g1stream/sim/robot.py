@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.dds.messages import LowCmd, LowState, Reference, SecondaryImu, SportModeState
+from g1stream.events import LOWCMD_TIMEOUT
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_normalize, quat_to_rpy
 from g1stream.sim.world import MotorCommand, Root
@@ -163,7 +164,7 @@ class SimulatedRobot:
             self._motors = MotorCommand.off()._replace(
                 enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
             )
-            self.log(level, "LowCmd timeout: the motors only damp", now)
+            self.log(level, f"{LOWCMD_TIMEOUT}: the motors only damp", now)
         self._world.step(self._motors, self._steps)
         self.report.simulated = float(self._world.data.time)
 

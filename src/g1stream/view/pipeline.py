@@ -115,7 +115,7 @@ class MessagePipeline:
         scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
             "/measured/scene": scene(MEASURED_PREFIX),
-            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT),
+            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT, ghost=True),
             "/scene": scene(tint=_REFERENCE_TINT),
             "/measured/robot_description": encode_string(
                 with_prefixed_links(self._robot.xml, MEASURED_PREFIX)

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
 from g1stream.errors import RobotError
 from g1stream.files import read_file
 from g1stream.input_limits import MESHES
-from g1stream.robot.shapes import decimate, find_mesh, read_stl, read_visuals
+from g1stream.robot.shapes import Mesh, decimate, find_mesh, ghost_size, read_stl, read_visuals
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import WORLD_FRAME
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+    from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
     from g1stream.robot.model import G1
     from g1stream.robot.shapes import Visual
@@ -53,11 +53,11 @@ class Shape(NamedTuple):
     scale: tuple[float, ...]
 
 
-def draw_meshes(robot: G1) -> dict[Shape, TriangleListPrimitive]:
-    """The STL meshes of a robot with fewer triangles, as `encode_scene` takes them.
+def draw_meshes(robot: G1) -> dict[Shape, Mesh]:
+    """The STL meshes of a robot with fewer triangles, as `encode_scene` takes them, scaled to m.
 
     Triangles are what all viewers show the same: a mesh file would have to say which axis is up,
-    and to be tinted. Points are rounded, which makes them small in a compressed file.
+    and to be tinted.
 
     Raises:
         RobotError: a mesh cannot be read.
@@ -71,15 +71,9 @@ def draw_meshes(robot: G1) -> dict[Shape, TriangleListPrimitive]:
         for name, path in files.items()
         if path and path.suffix.lower() == ".stl"
     }
-    drawn = {}
-    for shape in shapes:
-        if shape.mesh in meshes:
-            points, triangles = meshes[shape.mesh]
-            points = np.round(points * np.array(shape.scale) * _POINTS_PER_M) / _POINTS_PER_M
-            drawn[shape] = TriangleListPrimitive(indices=triangles.ravel().tolist())
-            for x, y, z in points.tolist():
-                drawn[shape].points.add(x=x, y=y, z=z)
-    return drawn
+    return {
+        shape: meshes[shape.mesh].scaled(shape.scale) for shape in shapes if shape.mesh in meshes
+    }
 
 
 def encode_scene(
@@ -87,7 +81,9 @@ def encode_scene(
     robot: G1,
     prefix: str = "",
     tint: Rgba | None = None,
-    drawn: Mapping[Shape, TriangleListPrimitive] = MappingProxyType({}),
+    drawn: Mapping[Shape, Mesh] = MappingProxyType({}),
+    *,
+    ghost: bool = False,
 ) -> bytes:
     """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
 
@@ -101,6 +97,8 @@ def encode_scene(
         prefix: of the frames of its links.
         tint: red, green, blue and opacity of all shapes, 0 to 1; the URDF's colours if None.
         drawn: the robot's meshes by `draw_meshes`.
+        ghost: whether it is drawn over the robot; then its shapes are smaller, but for meshes that
+            are not in `drawn`.
 
     Raises:
         RobotError: the URDF has a shape that cannot be read, or its meshes are too large.
@@ -122,7 +120,7 @@ def encode_scene(
         if frame not in entities:
             entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
             entities[frame].timestamp.FromNanoseconds(timestamp_ns)
-        _add(entities[frame], visual, tint, drawn, models)
+        _add(entities[frame], visual, tint, drawn, models, ghost=ghost)
     data: bytes = update.SerializeToString()
     return data
 
@@ -197,14 +195,16 @@ def _add(
     entity: SceneEntity,
     visual: Visual,
     tint: Rgba | None,
-    drawn: Mapping[Shape, TriangleListPrimitive],
+    drawn: Mapping[Shape, Mesh],
     models: Mapping[str, Mapping[str, Any]],
+    *,
+    ghost: bool,
 ) -> None:
     """Add a shape to its link's entity."""
-    triangles = drawn.get(Shape(visual.mesh, visual.size))
-    if triangles is not None:
-        entity.triangles.append(triangles)
-        shape: Any = entity.triangles[-1]
+    mesh = drawn.get(Shape(visual.mesh, visual.size))
+    size = visual.size
+    if mesh is not None:
+        shape: Any = _add_triangles(entity, mesh.of_ghost() if ghost else mesh)
     elif visual.kind == "box":
         shape = entity.cubes.add()
     elif visual.kind == "sphere":
@@ -215,11 +215,22 @@ def _add(
         # Viewers tint a mesh only by overriding its colours with one.
         override = visual.coloured or tint is not None
         shape = entity.models.add(override_color=override, **models[visual.mesh])
-    if triangles is None:
+    if mesh is None:
         extent = shape.scale if visual.kind == "mesh" else shape.size
-        extent.x, extent.y, extent.z = visual.size
+        if ghost and visual.kind != "mesh":
+            size = ghost_size(size)
+        extent.x, extent.y, extent.z = size
     pose, colour = shape.pose, shape.color
     pose.position.x, pose.position.y, pose.position.z = visual.pos
     q = pose.orientation
     q.w, q.x, q.y, q.z = visual.quat_wxyz
     colour.r, colour.g, colour.b, colour.a = tint or visual.rgba
+
+
+def _add_triangles(entity: SceneEntity, mesh: Mesh) -> TriangleListPrimitive:
+    """A mesh whose points are rounded, which makes them small in a compressed file."""
+    added: TriangleListPrimitive = entity.triangles.add(indices=mesh.triangles.ravel().tolist())
+    points = np.round(np.float64(mesh.points) * _POINTS_PER_M) / _POINTS_PER_M
+    for x, y, z in points.tolist():
+        added.points.add(x=x, y=y, z=z)
+    return added

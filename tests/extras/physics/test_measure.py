@@ -135,6 +135,36 @@ def centre_of_pressure(motion):
     return zero_moment_point(loads.force, loads.moment)
 
 
+def test_frames_of_a_part_keep_their_numbers(squat):
+    part = motion_physics(squat, frames=range(20, 30))
+    assert (part.first_frame, part.frames) == (20, 10)
+    nothing = np.zeros((squat.n_frames, 8, 3)), np.zeros((squat.n_frames, 8), bool)
+    whole = movement_loads(Trajectory(squat), ROBOT, SOLES, *nothing, lambda part, poses: None)
+    tau = whole.tau["bolted"][20:30]
+    for peak in part.torques["bolted"]:
+        of_joint = tau[:, JOINT_NAMES.index(peak.joint)]
+        assert peak.torque_nm == pytest.approx(of_joint[np.abs(of_joint).argmax()], abs=1e-9)
+        assert peak.time_s == peak.frame / FPS
+        assert abs(of_joint[peak.frame - 20]) == pytest.approx(abs(peak.torque_nm))
+    assert 20 <= part.margin_frame < 30
+    left, right = motion_physics(squat, frames=range(20, 71)).feet
+    assert left.penetration_frame >= 20
+    assert right.skating_max_frame >= 20
+
+
+def test_collisions_of_a_part_are_where_they_are_in_the_whole():
+    q = np.tile(joints(left_shoulder_roll=0.3), (40, 1))
+    q[15:25, JOINT_NAMES.index("left_shoulder_roll_joint")] = -0.6
+    motion = moving(q, np.tile([0.0, 0.0, 1.0], (40, 1)))
+    whole, part = motion_physics(motion), motion_physics(motion, frames=range(20, 40))
+    assert whole.collisions[0].spans == ((15, 24),)
+    assert part.collisions[0].spans == ((20, 24),)
+    assert part.collisions[0].depth_mm == pytest.approx(whole.collisions[0].depth_mm)
+    (excess,) = (e for e in part.verdicts["bolted"].excesses if e.cause == "self-collision")
+    assert excess.spans == ((20, 24),)
+    assert motion_physics(motion, frames=range(25, 40)).collisions == ()
+
+
 @pytest.mark.parametrize("forward", [0.0, 0.05, -0.06, 0.12])
 def test_at_rest_the_centre_of_pressure_is_below_the_mass_centre(forward):
     motion = still(*stance(0.6, forward))

@@ -66,6 +66,7 @@ class _Frames(NamedTuple):
     """What is known of T frames without dynamics."""
 
     fps: float  # frames per second
+    first: int  # number of the first of them in the motion
     corners: Floats  # (T, 8, 3) m, world, of the soles
     touches: Flags  # (T, 8) whether a corner touches the floor
     speeds: Floats  # (T, 8) m/s, horizontal
@@ -96,7 +97,7 @@ def motion_physics(
         robot: the G1; the default one if None.
         max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
         played: (29,) the joints that play it, for support feet; all if None.
-        frames: that are played, for support feet; all if None.
+        frames: consecutive ones that are played, two or more; all if None.
         suggest: find what can be played with support feet instead, where that cannot.
         trajectory: through its frames; made if None.
         progress: called with the fraction that is done, 0 to 1.
@@ -104,16 +105,19 @@ def motion_physics(
     Raises:
         RobotError: the dynamics or the soles of this robot are not known.
     """
-    robot = robot or G1.default()
+    robot, frames = robot or G1.default(), frames or range(motion.n_frames)
     trajectory, soles = trajectory or Trajectory(motion), Soles(robot)
-    known, look = _without_dynamics(motion, robot, soles, progress)
-    loads = movement_loads(trajectory, robot, soles, known.corners, known.touches, look)
-    tilt = np.arccos(rotation_matrices(motion.root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
+    known, look = _without_dynamics(motion, frames, robot, soles, progress)
+    loads = movement_loads(
+        trajectory, robot, soles, known.corners, known.touches, look, first=frames.start
+    )
+    root_quat_wxyz = motion.root_quat_wxyz[frames.start : frames.stop]
+    tilt = np.arccos(rotation_matrices(root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
     beyond = _beyond_support(known, loads)
     max_tilt = SafetyConfig().max_tilt if max_tilt is None else max_tilt
 
     def tilted(values: Floats, longest: float) -> Excess | None:
-        return _excess(known.fps, "tilt", "rad", values, max_tilt, longest=longest)
+        return _excess(known, "tilt", "rad", values, max_tilt, longest=longest)
 
     everywhere = _self_collision(known)
     found: dict[Support, list[Excess | None]] = {
@@ -123,7 +127,7 @@ def motion_physics(
         "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
     }
     for support, excesses in found.items():
-        over = partial(_excess, known.fps, longest=_TIPS if support == "free" else _SAGS)
+        over = partial(_excess, known, longest=_TIPS if support == "free" else _SAGS)
         tau, limit = np.abs(loads.tau[support]), robot.torque_limit
         excesses.append(over("torque", "N·m", tau, limit, JOINT_NAMES))
     verdicts: dict[StreamSupport, Verdict] = {}
@@ -136,7 +140,8 @@ def motion_physics(
     worst = int(np.nanargmax(beyond)) if pressed.any() else None
     return MotionPhysics(
         motion=motion.name,
-        frames=motion.n_frames,
+        first_frame=known.first,
+        frames=len(frames),
         fps=motion.fps,
         robot=robot.name,
         mass_kg=loads.mass,
@@ -147,7 +152,7 @@ def motion_physics(
         supported_share=float(stands.mean()),
         inside_share=float((beyond[pressed] <= 0.0).mean()) if pressed.any() else None,
         margin_mm=None if worst is None else -1e3 * float(beyond[worst]),
-        margin_frame=worst,
+        margin_frame=None if worst is None else known.first + worst,
         collisions=_collisions(known, robot),
         torques={
             support: _peaks(known, tau, robot.torque_limit) for support, tau in loads.tau.items()
@@ -156,10 +161,9 @@ def motion_physics(
 
 
 def _on_planted_feet(
-    trajectory: Trajectory, robot: G1, played: Flags | None, frames: range | None, suggest: bool
+    trajectory: Trajectory, robot: G1, played: Flags | None, frames: range, suggest: bool
 ) -> Verdict:
     motion = trajectory.motion
-    frames = frames or range(motion.n_frames)
     if not robot.present.all():
         return Verdict(support="feet", refused="the robot lacks joints that it would need")
     try:
@@ -173,25 +177,32 @@ def _on_planted_feet(
 
 
 def _without_dynamics(
-    motion: Motion, robot: G1, soles: Soles, progress: Callable[[float], None]
+    motion: Motion, frames: range, robot: G1, soles: Soles, progress: Callable[[float], None]
 ) -> tuple[_Frames, Callable[[slice, LinkPoses], None]]:
     """What is known of the feet, and what completes it with all links of some frames."""
     feet = [robot.link_names[link] for link in soles.links]
     hulls = [hull for hull in read_hulls(robot) if hull.link not in feet]
     collision = SelfCollision(robot)
-    n_frames = motion.n_frames
-    corners = soles.path(motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    n_frames, pose = len(frames), _pose(motion, frames.start, len(frames))
+    corners, joint_pos = soles.path(*pose), pose[0]
     heights = {hull.link: np.full(n_frames, np.inf) for hull in hulls}
     depths: dict[tuple[str, str], Floats] = {}
 
     def look(part: slice, poses: LinkPoses) -> None:
         for link, height in _lowest(robot, hulls, poses):
             heights[link][part] = np.minimum(heights[link][part], height)
-        for pair, depth in collision.depths(motion.joint_pos[part]).items():
+        for pair, depth in collision.depths(joint_pos[part]).items():
             depths.setdefault(pair, np.zeros(n_frames))[part] = depth
         progress(part.stop / n_frames)
 
-    return _Frames(motion.fps, corners, *touching(corners, motion.fps), heights, depths), look
+    touch = touching(corners, motion.fps)
+    return _Frames(motion.fps, frames.start, corners, *touch, heights, depths), look
+
+
+def _pose(motion: Motion, first: int, n_frames: int) -> tuple[Floats, Floats, Floats]:
+    """Joints (T, 29), position (T, 3) and attitude (T, 4) of the pelvis in some frames."""
+    part = slice(first, first + n_frames)
+    return motion.joint_pos[part], motion.root_pos[part], motion.root_quat_wxyz[part]
 
 
 def _lowest(robot: G1, hulls: Sequence[Hull], poses: LinkPoses) -> Iterator[tuple[str, Floats]]:
@@ -227,13 +238,13 @@ def _beyond_support(frames: _Frames, loads: Loads) -> Floats:
 def _self_collision(frames: _Frames) -> Excess | None:
     values = 1e3 * _columns(frames.depths, len(frames.corners))
     names = [f"{link} in {other}" for link, other in frames.depths]
-    what: tuple[float, Cause, str, Floats] = (frames.fps, "self-collision", "mm", values)
+    what: tuple[_Frames, Cause, str, Floats] = (frames, "self-collision", "mm", values)
     return _excess(*what, _DEEP, names, longest=0.0) or _excess(*what, _TOUCHING, names)
 
 
 def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:
     """What speaks against a motion on the robot's own feet, but tilt, torque and self-collision."""
-    stands, over = frames.touches.any(axis=1), partial(_excess, frames.fps)
+    stands, over = frames.touches.any(axis=1), partial(_excess, frames)
     force, up = loads.force, loads.force[:, 2]
     pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
     sideways = np.linalg.norm(force[:, :2], axis=1)
@@ -261,7 +272,7 @@ def _columns(arrays: Mapping[Any, Floats], n_frames: int) -> Floats:
 
 
 def _excess(
-    fps: float,
+    frames: _Frames,
     cause: Cause,
     unit: str,
     values: Floats,
@@ -280,7 +291,7 @@ def _excess(
     over = values > limits
     if not over.any():
         return None
-    lasting = over if longest is None else _lasting(over, longest * fps)
+    lasting = over if longest is None else _lasting(over, longest * frames.fps)
     forbids = longest is not None and bool(lasting.any())
     over = lasting if forbids else over
     frame, column = divmod(int(np.where(over, values / limits, 0.0).argmax()), values.shape[1])
@@ -292,10 +303,10 @@ def _excess(
         worst=float(values[frame, column]),
         limit=float(limits[column]),
         unit=unit,
-        frame=frame,
-        time_s=frame / fps,
-        spans=_spans(anywhere),
-        longest_s=int(longest_frames) / fps,
+        frame=frames.first + frame,
+        time_s=(frames.first + frame) / frames.fps,
+        spans=_spans(frames, anywhere),
+        longest_s=int(longest_frames) / frames.fps,
         forbids=forbids,
     )
 
@@ -315,9 +326,10 @@ def _stretches_by_column(flags: Flags) -> Iterator[tuple[int, NDArray[np.intp]]]
         yield int(k), stretches(flags[:, k])
 
 
-def _spans(flags: Flags) -> tuple[tuple[int, int], ...]:
-    """First and last index of each stretch of True in (T,)."""
-    return tuple((int(first), int(stop) - 1) for first, stop in stretches(flags))
+def _spans(frames: _Frames, flags: Flags) -> tuple[tuple[int, int], ...]:
+    """First and last frame of each stretch of True in (T,)."""
+    edges = frames.first + stretches(flags)
+    return tuple((int(first), int(stop) - 1) for first, stop in edges)
 
 
 def _foot(frames: _Frames, link: str, number: int) -> Foot:
@@ -333,10 +345,10 @@ def _foot(frames: _Frames, link: str, number: int) -> Foot:
         contact_share=float(stands.mean()),
         height_mm=1e3 * float(heights[stands].mean()) if down else None,
         penetration_mm=max(0.0, -1e3 * float(heights[deepest])),
-        penetration_frame=deepest,
+        penetration_frame=frames.first + deepest,
         skating_mm_s=float(slides[touches].mean()) if down else None,
         skating_max_mm_s=float(slides[fastest].max()) if down else None,
-        skating_max_frame=fastest if down else None,
+        skating_max_frame=frames.first + fastest if down else None,
     )
 
 
@@ -350,9 +362,9 @@ def _collisions(frames: _Frames, robot: G1) -> tuple[Collision, ...]:
                 link=link,
                 other=other,
                 depth_mm=1e3 * float(depths[frame]),
-                frame=frame,
-                time_s=frame / frames.fps,
-                spans=_spans(np.greater(depths, 0.0)),
+                frame=frames.first + frame,
+                time_s=(frames.first + frame) / frames.fps,
+                spans=_spans(frames, np.greater(depths, 0.0)),
                 simulated={link, other} <= solid,
             )
         )
@@ -367,8 +379,8 @@ def _peaks(frames: _Frames, tau: Floats, limit: Floats) -> tuple[TorquePeak, ...
             joint=joint,
             torque_nm=float(tau[worst[j], j]),
             limit_nm=float(limit[j]),
-            frame=int(worst[j]),
-            time_s=int(worst[j]) / frames.fps,
+            frame=frames.first + int(worst[j]),
+            time_s=(frames.first + int(worst[j])) / frames.fps,
             frames=int(beyond[j]),
         )
         for j, joint in enumerate(JOINT_NAMES)
@@ -396,6 +408,7 @@ def movement_loads(
     corners: Floats,
     touches: Flags,
     look: Callable[[slice, LinkPoses], None],
+    first: int = 0,
 ) -> Loads:
     """The torques of each support, and the force and moment that the pelvis's motion takes.
 
@@ -403,19 +416,19 @@ def movement_loads(
     `bolted` the pelvis is upright. With `hanging` it is at rest as the pose lets it hang: the mass
     centre below the carrier's. With `free` the floor exerts the force on the corners (T, 8, 3) that
     touch it (T, 8), as far as it can (`floor_forces`); the rest is left to an outer force on the
-    pelvis. `look` is called with some frames at a time, and the poses of the links in them.
+    pelvis. `look` is called with some frames at a time, and the poses of the links in them. Of the
+    T frames the first has the number `first` in the motion.
     """
     dynamics, motion = BatchInverseDynamics.of(robot), trajectory.motion
-    n_frames, feet = motion.n_frames, np.repeat(soles.links, 4).tolist()
+    n_frames, feet = len(corners), np.repeat(soles.links, 4).tolist()
     tau: dict[Support, Floats] = {
         support: np.zeros((n_frames, N_JOINTS)) for support in get_args(Support)
     }
     force, moment = np.zeros((2, n_frames, 3))
     hanging_tilt = np.zeros(n_frames)
-    pose = motion.joint_pos, motion.root_pos, motion.root_quat_wxyz
-    for part, poses in pose_blocks(robot, *pose):
+    for part, poses in pose_blocks(robot, *_pose(motion, first, n_frames)):
         look(part, poses)
-        point = trajectory.sample_many(np.arange(part.start, part.stop) / motion.fps)
+        point = trajectory.sample_many((first + np.arange(part.start, part.stop)) / motion.fps)
         frames = dynamics.batch(poses, point.joint_vel, point.joint_acc)
         tau["bolted"][part] = frames.bolted()
         tau["hanging"][part], hanging_tilt[part] = frames.hanging()

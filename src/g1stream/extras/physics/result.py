@@ -202,7 +202,8 @@ class MotionPhysics(Record, frozen=True):
 
     Attributes:
         motion: its name.
-        frames, fps: of the motion.
+        first_frame, frames: which were looked at, and how many.
+        fps: of the motion.
         robot: name of the model.
         mass_kg: of the robot.
         verdicts: by support, `feet` among them.
@@ -220,6 +221,7 @@ class MotionPhysics(Record, frozen=True):
     """
 
     motion: str
+    first_frame: int = 0
     frames: int
     fps: float
     robot: str
@@ -238,7 +240,7 @@ class MotionPhysics(Record, frozen=True):
     def __str__(self) -> str:
         sections = (
             [
-                _line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg"),
+                _line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg, {self.played}"),
                 *(_line(f"  {support}", str(one)) for support, one in self.verdicts.items()),
             ],
             [_line(of, str(excess)) for of, excess in reasons(self.verdicts)],
@@ -247,6 +249,12 @@ class MotionPhysics(Record, frozen=True):
             self._collisions(),
         )
         return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+    @property
+    def played(self) -> str:
+        """From when to when in the motion the frames are."""
+        last = self.first_frame + self.frames - 1
+        return f"{self.first_frame / self.fps:.2f} to {last / self.fps:.2f} s of the motion"
 
     @property
     def pressure(self) -> str:

@@ -49,7 +49,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         else {}
     )
     limits = {name: one.limit_nm for name, one in torque.joints.items()} if torque else {}
-    worst = tracking and tracking.all_joints.worst_joint
+    worst = summary.worst and summary.worst.joint
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],

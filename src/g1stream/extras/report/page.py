@@ -18,17 +18,20 @@ from g1stream.analysis.summary import Summary, outcome, session_facts, stream_fa
 from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
-from g1stream.extras.physics.result import MotionPhysics
+from g1stream.extras.physics.result import MotionPhysics, Verdict
 from g1stream.extras.policy.steps import PolicySteps, policy_steps
 from g1stream.extras.report.figures import figures
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import overview, physics_tables, policy_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
+from g1stream.motion.limits import Interval
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import attached_motion
 from g1stream.text import counted, short_name
 
 if TYPE_CHECKING:
+    from g1stream.types import StreamSupport
+
     Given: TypeAlias = Session | str | os.PathLike[str]
     Progress: TypeAlias = Callable[[str, float], None]
 
@@ -37,6 +40,8 @@ __all__ = ["numbers", "report"]
 #: A video or picture beside a session, of the same name, is shown; the first of these.
 _PICTURES: Final = (".mp4", ".gif", ".png")
 _LARGEST_PICTURE: Final = 50 * 2**20
+#: Supports with which the pelvis does not move as in the motion.
+_HELD: Final = {"bolted", "hanging"}
 #: Joints at their torque limits that are named.
 _MOST_SATURATED: Final = 5
 #: Frames per second at which the reference is looked at, where the motion is not attached.
@@ -132,7 +137,8 @@ def _page(sessions: Iterable[Session], progress: Progress) -> str:
         values.append(told)
         drawn.append(figures(session, summary, metrics))
         key = f"sessions.{number}"
-        section = _section(key, told["metrics"], drawn[-1], summary, physics)
+        file = session.path.name if session.paths else ""
+        section = _section(key, told["metrics"], drawn[-1], summary, physics, file)
         section["policy"] = _policy(policy, f"{key}.policy")
         sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1
@@ -153,47 +159,67 @@ def _section(
     drawn: Mapping[str, Any],
     summary: Summary,
     physics: MotionPhysics | str,
+    session: str,
 ) -> dict[str, Any]:
     """What the template shows of a session."""
     support = summary.stream.support if summary.stream else None
-    held = ""
-    if metrics["body"] and support in {"bolted", "hanging"}:
-        held = (
-            f"The pelvis was held ({support}): only the figures of the joints alone, and of hands "
-            "and feet, tell how closely the robot followed."
-        )
+    held = support in _HELD and metrics["body"] is not None
+    about_held = (
+        f"The pelvis was held ({support}): its own errors, and those in the world, are left out."
+    )
     facts = session_facts(summary)
     if summary.versions:
         facts.append(("versions", ", ".join(map(" ".join, summary.versions.items()))))
     has_signals = any(one["lines"] for one in drawn["signals"].values())
     events = [(f"{one['time']:.3f}", one["level"], one["text"]) for one in drawn["events"]]
     return {
-        **tables(metrics, f"{key}.metrics"),
+        **tables(metrics, f"{key}.metrics", held=held),
         "verdict": outcome(summary),
         "good": "bad" if summary.problems else "good" if summary.tracking else "",
         "problems": summary.problems,
         "missing": {name: metrics["missing"].get(name) for name in ("tracking", "body", "torque")},
-        "held": held,
+        "held": about_held if held else "",
         "choice": joints_by_limb({*JOINT_NAMES} - {*summary.absent}) if has_signals else None,
         "facts": facts,
         "stream": stream_facts(summary.stream) if summary.stream else [],
         "events": events,
         "drawn": drawn,
-        "physics": _physics(physics, support, f"{key}.physics"),
+        "physics": _physics(physics, support, f"{key}.physics", session),
     }
 
 
-def _physics(physics: MotionPhysics | str, support: str | None, key: str) -> dict[str, Any]:
+def _physics(
+    physics: MotionPhysics | str, support: StreamSupport | None, key: str, session: str
+) -> dict[str, Any]:
+    """What the template shows of the physics: as the pelvis was held, or of all ways to hold it."""
     if isinstance(physics, str):
-        tables = dict.fromkeys(("facts", "excesses", "feet", "peaks", "collided", "collisions"))
-        return {"missing": physics, **tables}
-    verdicts = [
-        (f"{one}, as in this session" if one == support else one, str(verdict))
-        for one, verdict in physics.verdicts.items()
-    ]
-    more = [("tilt", physics.tilt), ("centre of pressure", physics.pressure)]
-    facts = [*verdicts, *(one for one in more if one[1])]
-    return {"missing": None, "facts": facts, **physics_tables(physics, key)}
+        names = "facts", "excesses", "feet", "peaks", "collided", "collisions", "rest"
+        return {"missing": physics, **dict.fromkeys(names)}
+    shown = [support] if support else [*physics.verdicts]
+    facts = [("frames", physics.played)]
+    for one in shown:
+        verdict = physics.verdicts[one]
+        facts.append((one, str(verdict) if support in {None, "feet"} else _asked(verdict)))
+    if shown != ["bolted"]:
+        facts.append(("tilt", physics.tilt))
+    on_feet = bool({"free", "feet"} & {*shown})
+    if on_feet and physics.pressure:
+        facts.append(("centre of pressure", physics.pressure))
+    found = physics_tables(physics, shown, key)
+    rest = f"The other supports: g1stream physics {session}"
+    return {
+        "missing": None,
+        "facts": facts,
+        **found,
+        "feet": found["feet"] if on_feet else None,
+        "rest": rest if support and session else None,
+    }
+
+
+def _asked(verdict: Verdict) -> str:
+    """What a motion that was played asked of the robot."""
+    beyond = ", ".join(dict.fromkeys(excess.cause for excess in verdict.excesses))
+    return f"beyond what a robot can follow: {beyond}" if beyond else "within what a robot can do"
 
 
 def _policy(policy: PolicySteps | None, key: str) -> dict[str, Any] | None:
@@ -230,26 +256,29 @@ def session_physics(
 ) -> MotionPhysics | str:
     """What it takes to play the motion of a session, or why that is not told.
 
-    It is that of the attached motion where that was played as it is, else that of the reference; or
-    of what `convert` made of a motion.
+    It is that of the played frames of the attached motion where that was played as it is, else that
+    of the reference; or of what `convert` made of a motion.
     """
     if played(summary.phases) > 1:
         return "Several motions were played."
-    fps = (summary.motion and summary.motion.fps) or _FPS
+    fps, ended = (summary.motion and summary.motion.fps) or _FPS, summary.termination
     try:
         motion = session.motion() if session.converted else attached_motion(session)
-        frames = motion.n_frames if motion else round((summary.termination.played_s or 0.0) * fps)
-        if frames > _MOST_FRAMES:
+        if motion and ended.played_s:
+            frames = Interval(ended.start_s, ended.played_s).frames(motion)
+        else:
+            frames = range(motion.n_frames if motion else round((ended.played_s or 0.0) * fps))
+        if len(frames) > _MOST_FRAMES:
             return (
-                f"The motion has {frames} frames, more than the {_MOST_FRAMES} that a report takes "
-                f"the time for: g1stream physics {session.path.name}."
+                f"{len(frames)} frames were played, more than the {_MOST_FRAMES} that a report "
+                f"takes the time for: g1stream physics {session.path.name}."
             )
-        motion = motion or session.motion(fps)
         max_tilt = (summary.settings or {}).get("safety.max_tilt")
         return motion_physics(
-            motion,
+            motion or session.motion(fps),
             session.robot,
             max_tilt=max_tilt if isinstance(max_tilt, float) else None,
+            frames=frames if motion else None,  # the reference has no others
             progress=progress,
         )
     except (MotionError, RecordingError, RobotError) as error:

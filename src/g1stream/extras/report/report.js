@@ -39,12 +39,15 @@
   const phases = (session) => session.phases.map((one) => ({
     type: "rect", xref: "x", yref: "paper", x0: one.start, x1: one.end, y0: 0, y1: 1,
     layer: "below", line: { width: 0 }, fillcolor: one.colour ?? "rgba(0,0,0,0)",
-    label: phaseLabel(one.name, (one.end - one.start) / length(session)),
   }));
-  // Upright where the phase is short.
-  const phaseLabel = (name, share) => ({
-    text: share > 0.02 ? name : "", textposition: "top center", font: { size: 10, color: MUTED },
-    ...(share < 0.1 && { textangle: -90, xanchor: "right", yanchor: "middle" }),
+  // Their names lie on the grid lines; upright where the phase is short.
+  const names = (session) => session.phases.flatMap((one) => {
+    const share = (one.end - one.start) / length(session);
+    return share < 0.02 ? [] : [{
+      text: one.name, x: (one.start + one.end) / 2, y: 1, yref: "paper", yanchor: "top",
+      showarrow: false, font: { size: 10, color: MUTED }, bgcolor: one.colour ?? "#fff",
+      textangle: share < 0.1 ? -90 : 0, borderpad: 1,
+    }];
   });
   const length = (session) =>
     session.phases.length ? session.phases.at(-1).end - session.phases[0].start : 0;
@@ -75,7 +78,7 @@
         };
       });
       return [[...session.limbs.map((limb) => line(limb)), ...events],
-        layout(320, { shapes: phases(session), xaxis: times(session),
+        layout(320, { shapes: phases(session), annotations: names(session), xaxis: times(session),
                       yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
     },
     joint(session, chosen) {
@@ -104,7 +107,7 @@
         })));
       }
       return [traces, layout(inner + 72, {
-        shapes: [...phases(session), ...bounds],
+        shapes: [...phases(session), ...bounds], annotations: names(session),
         xaxis: times(session, { anchor: `y${rows.length > 1 ? rows.length : ""}` }), ...panels,
       })];
     },
@@ -126,12 +129,12 @@
     },
     intervals(session) {
       return [session.intervals.map((one) => line(one)), layout(280, {
-        shapes: phases(session), xaxis: times(session),
+        shapes: phases(session), annotations: names(session), xaxis: times(session),
         yaxis: axis("interval, ms", { rangemode: "tozero" }) })];
     },
     steps(session) {
       return [session.steps.map((one) => line(one)), layout(280, {
-        shapes: phases(session), xaxis: times(session),
+        shapes: phases(session), annotations: names(session), xaxis: times(session),
         yaxis: axis("delay, ms", { rangemode: "tozero" }) })];
     },
     errors(comparison) {

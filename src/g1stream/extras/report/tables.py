@@ -7,10 +7,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from g1stream.extras.physics.result import MotionPhysics, reasons
 from g1stream.text import counted, short_name
+
+if TYPE_CHECKING:
+    from g1stream.types import StreamSupport
 
 _DEG: Final = 180.0 / math.pi
 #: Torques of each support, and pairs of links, that are shown.
@@ -27,6 +30,7 @@ class Column:
     key: str  # of the value in what the row shows; with dots where it is deeper
     form: str = ".0f"  # of a number, as `format` takes it
     scale: float = 1.0  # from the unit of the JSON to that shown
+    words: Mapping[str, str] | None = None  # what is shown for a text
 
 
 class Cell(NamedTuple):
@@ -48,7 +52,7 @@ class Table(NamedTuple):
 
 _DELAYS: Final = (
     Column("delay", "ms", "delay_s", ".1f", 1e3),
-    Column("±\u00a095\u00a0%", "ms", "delay_ci95_s", ".1f", 1e3),
+    Column("± 95 %", "ms", "delay_ci95_s", ".1f", 1e3),
     Column("correlation", "", "correlation", ".4f"),
 )
 _RATES: Final = (
@@ -142,14 +146,19 @@ _TOPICS: Final = (
     Column("max", "µs", "latency_us.max"),
     Column("clock offset", "ms", "clock_offset_s", ".1f", 1e3),
 )
+_SPACES: Final = {
+    "world": "in the world",
+    "root_relative": "without the pelvis's position",
+    "pelvis_frame": "from the pelvis: joints alone",
+}
 _SUCCESS: Final = (
     Column("success", "", "success"),
     Column("with BeyondMimic's limits", "", "success_strict"),
     Column("with SONIC's limits", "", "success_sonic"),
     Column("completed", "", "completed"),
-    Column("played", "%", "progress", ".1f", 100.0),
-    Column("farthest links", "mm", "max_link_error_mm", ".1f"),
-    Column("by", "links", "links"),
+    Column("played", "% of what was asked", "progress", ".1f", 100.0),
+    Column("mean distance of all links", "mm at most", "max_link_error_mm", ".1f"),
+    Column("measured", "", "links", words=_SPACES),
     Column("spoilt by", "ms", "spoilt_by_ms"),
 )
 _TERMINATIONS: Final = (
@@ -199,7 +208,7 @@ _EXCESSES: Final = (
     Column("unit", "", "unit"),
     Column("at", "s", "time_s", ".2f"),
     Column("longest", "s", "longest_s", ".2f"),
-    Column("forbids it", "", "forbids"),
+    Column("cannot be followed", "", "forbids"),
 )
 _FEET: Final = (
     Column("contact", "% of frames", "contact_share", ".0f", 100.0),
@@ -221,11 +230,6 @@ _COLLISIONS: Final = (
     Column("at", "s", "time_s", ".2f"),
     Column("simulated", "", "simulated"),
 )
-_SPACES: Final = {
-    "world": "world: with the base",
-    "root_relative": "without the base's position",
-    "pelvis_frame": "without the base: joints alone",
-}
 _DELAYS_OF_STEPS: Final = {
     "delay_s": "from LowState to command",
     "state_age_s": "age of the state observed",
@@ -239,8 +243,11 @@ _PUNCTUALITY: Final = {
 }
 
 
-def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
-    """The tables of a session's metrics, by name; None where there is nothing to show."""
+def tables(metrics: Mapping[str, Any], key: str, *, held: bool = False) -> dict[str, Table | None]:
+    """The tables of a session's metrics, by name; None where there is nothing to show.
+
+    Of a pelvis that was `held` nothing is shown that its own pose is in.
+    """
 
     def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> Table | None:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
@@ -252,14 +259,17 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
         return {f"{path}.{name}": _plain(name) for name in names}
 
     limbs = {**each("tracking.limbs"), "tracking.all_joints": "all joints"}
+    spaces = {f"body.{k}": v for k, v in _SPACES.items() if k == "pelvis_frame" or not held}
+    pelvis = {} if held else {"body.pelvis": "pelvis"}
+    ends = {} if held else {"body.terminations": "off by"}
     return {
         "success": table_of("", _SUCCESS, {"success": "motion"}),
-        "terminations": table_of("at most", _TERMINATIONS, {"body.terminations": "off by"}),
+        "terminations": table_of("at most", _TERMINATIONS, ends),
         "limbs": table_of("limb", _LIMBS, limbs),
         "joints": table_of("joint", _JOINTS, each("tracking.joints")),
-        "links": table_of("links", _LINKS, {f"body.{k}": v for k, v in _SPACES.items()}),
+        "links": table_of("links", _LINKS, spaces),
         "end_effectors": table_of("hand or foot", _END_EFFECTORS, each("body.end_effectors")),
-        "pelvis": table_of("", _PELVIS, {"body.pelvis": "pelvis"}),
+        "pelvis": table_of("", _PELVIS, pelvis),
         "torque": table_of("", _ALL_TORQUES, {"torque": "all joints"}),
         "torques": table_of("joint", _TORQUES, each("torque.joints")),
         "punctuality": table_of(
@@ -292,8 +302,13 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
     }
 
 
-def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
-    """The tables of what the motion asks of a robot, and how many links are inside each other."""
+def physics_tables(
+    physics: MotionPhysics, supports: Sequence[StreamSupport], key: str
+) -> dict[str, Any]:
+    """The tables of what the motion asks of a robot, and how many links are inside each other.
+
+    Excesses and torques are those with some of the supports.
+    """
     values = physics.model_dump(mode="json")
 
     def each(path: str) -> list[tuple[str, str, Any]]:
@@ -308,11 +323,12 @@ def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
     }
     against = [
         (of, keys[excess], excess.model_dump(mode="json"))
-        for of, excess in reasons(physics.verdicts)
+        for of, excess in reasons({one: physics.verdicts[one] for one in supports})
     ]
     peaks = [
         (one, f"{key}.torques.{one}.{i}", row)
         for one, rows in values["torques"].items()
+        if one in supports
         for i, row in enumerate(rows[:_MOST_PEAKS])
     ]
     collisions = each("collisions")
@@ -366,7 +382,7 @@ def _cell(column: Column, key: str, value: Any) -> Cell | None:
     if isinstance(value, bool):
         text = "yes" if value else "no"
     elif isinstance(value, str):
-        text = _plain(value)
+        text = column.words[value] if column.words else _plain(value)
     else:
         text = format(value * column.scale, column.form)
         if not float(text):

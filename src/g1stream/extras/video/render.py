@@ -34,6 +34,8 @@ _OLD: Final = 0.1
 #: Red, green, blue and opacity of the ghost, and of a reference that is shown alone.
 _GHOST: Final = (0.1, 0.6, 1.0, 0.3)
 _BLUE: Final = (0.1, 0.6, 1.0, 1.0)
+#: Behind the text.
+_GROUND: Final = (16, 20, 28, 190)
 _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
 
 
@@ -56,7 +58,7 @@ def render(
     start: float | None = None,
     duration: float | None = None,
     fps: float = 25.0,
-    size: tuple[int, int] = (640, 480),
+    size: tuple[int, int] = (1280, 720),
     camera: Camera = "oblique",
     force: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -106,13 +108,15 @@ def render(
 
 
 def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
-    """A picture with lines of text in its upper left corner."""
+    """A picture with lines of text in its upper left corner, on a dark ground."""
     picture = Image.fromarray(pixels)
-    size = max(10.0, picture.height / 25)
-    font = ImageFont.load_default(size)
-    place = (size / 2, size / 2)
-    drawing = ImageDraw.Draw(picture)
-    drawing.text(place, text, "white", font, stroke_width=1, stroke_fill="black")
+    size = max(10.0, picture.height / 24)
+    font, place = ImageFont.load_default(size), (size, 0.8 * size)
+    drawing = ImageDraw.Draw(picture, "RGBA")
+    left, top, right, bottom = drawing.textbbox(place, text, font)
+    ground = (left - size / 2, top - size / 2, right + size / 2, bottom + size / 2)
+    drawing.rounded_rectangle(ground, size / 3, _GROUND)
+    drawing.text(place, text, "white", font)
     return picture
 
 
@@ -183,7 +187,7 @@ class Poses:
         self.robots = [PosedRobot(done.q, pos, quat_wxyz)]
         if reference is not None:
             self.shown = "measured and ghost"
-            self.robots.append(PosedRobot(asked.q, pos, quat_wxyz, _GHOST))
+            self.robots.append(PosedRobot(asked.q, pos, quat_wxyz, _GHOST, ghost=True))
             order = np.argsort(reference.time, kind="stable")
             at_state = [
                 np.interp(done.time, reference.time[order], q[order]) for q in reference.q.T

@@ -5,24 +5,32 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import reload
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from g1stream.errors import RobotError, SimError
+from g1stream.errors import ConfigError, RobotError, SimError
 from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import pose_blocks
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import find_mesh, has_meshes, read_visuals
+from g1stream.robot.shapes import (
+    Visual,
+    decimate,
+    find_mesh,
+    ghost_size,
+    has_meshes,
+    read_stl,
+    read_visuals,
+)
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 
-#: How far behind the robot a ghost is drawn, m: surfaces that coincide would flicker.
-_BEHIND: Final = 0.004
+#: Groups of geoms: the robot, and its ghost, whose shapes are smaller.
+_ROBOT, _GHOST = 1, 2
 _SKY: Final = ([0.95, 0.96, 0.98], [0.75, 0.8, 0.87])
 _FIELD_OF_VIEW: Final = 30.0
 #: How far the camera looks down, degrees.
@@ -41,6 +49,7 @@ class PosedRobot(NamedTuple):
     quat_wxyz: Floats  # (T, 4) pelvis to world; zero is taken for upright
     # red, green, blue and opacity of all shapes, 0 to 1; the robot's colours if None
     tint: tuple[float, float, float, float] | None = None
+    ghost: bool = False  # drawn over another one, and smaller
 
 
 class Scene:
@@ -90,17 +99,20 @@ class Scene:
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_camlight(self._model, self._data)
             first = scene.ngeom if number else 0
+            self._options.geomgroup[_ROBOT], self._options.geomgroup[_GHOST] = (
+                not posed.ghost,
+                posed.ghost,
+            )
             if number == 0:  # with the floor and the light
                 self._renderer.update_scene(self._data, self._camera, self._options)
             else:
                 what = self._model, self._data, self._options, self._perturb
                 mujoco.mjv_addGeoms(*what, dynamic, scene)
-            if posed.tint:
-                forward = np.array(scene.camera[0].forward)
-                for geom in scene.geoms[first : scene.ngeom]:
-                    if geom.category == dynamic:
-                        geom.rgba[:] = posed.tint
-                        geom.pos[:] += _BEHIND * forward
+            for geom in scene.geoms[first : scene.ngeom]:
+                if posed.tint and geom.category == dynamic:
+                    geom.rgba[:] = posed.tint
+                if posed.ghost:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # it casts no shadow
         picture: NDArray[np.uint8] = self._renderer.render()
         return picture
 
@@ -135,7 +147,7 @@ def _with_numbers(posed: PosedRobot) -> PosedRobot:
     q, pos, quat = (np.nan_to_num(one, posinf=0.0, neginf=0.0) for one in posed[:3])
     norm = np.linalg.norm(quat, axis=1, keepdims=True)
     quat = np.where(norm > 0.0, quat / np.where(norm > 0.0, norm, 1.0), [1.0, 0.0, 0.0, 0.0])
-    return PosedRobot(q, pos, quat, posed.tint)
+    return posed._replace(q=q, pos=pos, quat_wxyz=quat)
 
 
 @contextmanager
@@ -155,14 +167,9 @@ def _compile(robot: G1, size: tuple[int, int]) -> Any:
     """A `mujoco.MjModel` of the robot's shapes and a floor."""
     import mujoco
 
-    meshes = has_meshes(robot)
     try:
-        spec = mujoco_spec(robot, floating=True, shapes=not meshes)
-        if meshes:
-            _add_meshes(spec, robot)
-        elif any(not geom.contype for geom in spec.geoms):  # shapes to see, besides solid ones
-            for geom in [geom for geom in spec.geoms if geom.contype]:
-                spec.delete(geom)
+        spec = mujoco_spec(robot, floating=True, shapes=False)
+        _add_shapes(spec, robot)
         if not spec.geoms:
             raise RobotError(
                 f"There is nothing to draw of the robot {robot.source}: its URDF has no shapes.",
@@ -191,18 +198,40 @@ def _compile(robot: G1, size: tuple[int, int]) -> Any:
         ) from error
 
 
-def _add_meshes(spec: Any, robot: G1) -> None:
+def _add_shapes(spec: Any, robot: G1) -> None:
+    """Add the shapes of a robot's links, and those of its ghost."""
     import mujoco
 
+    with_meshes = has_meshes(robot)
     for number, visual in enumerate(read_visuals(robot)):
         body, shape = spec.body(visual.link), mujoco.mjtGeom
         pose = {"pos": visual.pos, "quat": visual.quat_wxyz, "rgba": visual.rgba}
         if visual.kind == "mesh":
-            path, name = find_mesh(robot, visual.mesh), f"mesh_{number}"
-            spec.add_mesh(name=name, file=str(path), scale=visual.size)
-            body.add_geom(type=shape.mjGEOM_MESH, meshname=name, **pose)
-        else:
-            kind = getattr(shape, f"mjGEOM_{visual.kind.upper()}")
-            half = [extent / 2 for extent in visual.size]
-            size = [half[0], half[2], 0] if visual.kind == "cylinder" else half
-            body.add_geom(type=kind, size=size, **pose)
+            if not with_meshes:
+                continue
+            for group, mesh in _meshes_of(robot, visual).items():
+                name = f"mesh_{number}_{group}"
+                spec.add_mesh(name=name, **mesh)
+                body.add_geom(type=shape.mjGEOM_MESH, meshname=name, group=group, **pose)
+            continue
+        kind = getattr(shape, f"mjGEOM_{visual.kind.upper()}")
+        for group, size in {_ROBOT: visual.size, _GHOST: ghost_size(visual.size)}.items():
+            half = [extent / 2 for extent in size]
+            half = [half[0], half[2], 0] if visual.kind == "cylinder" else half
+            body.add_geom(type=kind, size=half, group=group, **pose)
+
+
+def _meshes_of(robot: G1, visual: Visual) -> dict[int, dict[str, Any]]:
+    """A mesh as MuJoCo takes it, by group; what it takes to draw grows with its triangles."""
+    path = find_mesh(robot, visual.mesh)
+    if path is None or path.suffix.lower() != ".stl":
+        file = {"file": str(path), "scale": visual.size}
+        return {_ROBOT: file, _GHOST: file}
+    mesh = read_stl(path)
+    with suppress(ConfigError):  # without the library, it takes longer
+        mesh = decimate(mesh)
+    mesh = mesh.scaled(visual.size)
+    return {
+        group: {"uservert": np.float64(one.points).ravel(), "userface": one.triangles.ravel()}
+        for group, one in ((_ROBOT, mesh), (_GHOST, mesh.of_ghost()))
+    }

@@ -1,0 +1,218 @@
+"""The cause that is told of the greatest error is the one that was brought about."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from g1stream import Motion, open_session, rollout
+from g1stream.analysis.cause import worst_error
+from g1stream.config import Config
+from g1stream.robot.hulls import SelfCollision
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
+
+FPS = 60.0
+ELBOW = JOINT_NAMES.index("left_elbow_joint")
+ROLL = JOINT_NAMES.index("left_shoulder_roll_joint")
+PITCH = JOINT_NAMES.index("left_shoulder_pitch_joint")
+RAMP = 3.0  # s: with less, the arm still sags when PLAY begins
+BEGIN = 0.5  # s: until then the motion is at rest
+
+
+def motion(joint, move, *, begin=BEGIN, seconds=2.2, **pose):
+    """A motion in which one joint moves as a function of the time since `begin`."""
+    times = np.arange(round(seconds * FPS)) / FPS
+    joint_pos = np.zeros((len(times), 29))
+    joint_pos[:, ROLL] = 0.3  # away from the body
+    joint_pos[:, ELBOW] = 0.8
+    for name, value in pose.items():
+        joint_pos[:, JOINT_NAMES.index(f"{name}_joint")] = value
+    joint_pos[:, joint] += move((times - begin).clip(0.0))
+    return Motion(
+        name="provoked",
+        fps=FPS,
+        joint_pos=joint_pos,
+        root_pos=np.tile([0.0, 0.0, 0.8], (len(times), 1)),
+        root_quat_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)),
+    )
+
+
+def played(of, feedforward=None, stream=None, **settings):
+    stream = {"ramp": RAMP, "hold": 0.0, "damp": 0.5, "joints": "left_arm", **(stream or {})}
+    config = Config.model_validate({"stream": stream, **settings})
+    return rollout(of, config=config, feedforward=feedforward)
+
+
+def cause(session):
+    return session.summary().worst
+
+
+def swing(size, hertz):
+    """A swing that begins and ends smoothly, once."""
+
+    def move(t):
+        inside = t * hertz < 1.0
+        return size * inside * (0.5 - 0.5 * np.cos(2.0 * np.pi * hertz * t))
+
+    return move
+
+
+def slowly(size):
+    """To another position within a second, there to stay."""
+    return lambda t: 0.5 * size * (1.0 - np.cos(np.pi * np.minimum(t, 1.0)))
+
+
+@contextmanager
+def stalled(at, gap):
+    """The loop gets no time for `gap` s once, at a time of the rollout."""
+    sleep, stalls = Lockstep.sleep_until, [round(at * 1e9)]
+
+    def late(self, deadline):
+        if stalls and self.now() >= stalls[0]:
+            deadline = stalls.pop() + round(gap * 1e9)
+        sleep(self, deadline)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Lockstep, "sleep_until", late)
+        yield
+
+
+@contextmanager
+def half_as_fast():
+    """The simulator advances by half of what it should."""
+    step, calls = SimulatedRobot.step, [0]
+
+    def sometimes(self, now):
+        calls[0] += 1
+        if calls[0] % 2:
+            step(self, now)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedRobot, "step", sometimes)
+        yield
+
+
+@contextmanager
+def pushed(begin, end):
+    """Something pushes the arm with 8 N·m, which nothing in the session tells."""
+    step = World.step
+
+    def push(self, motors, steps):
+        dof = self.model.joint("left_shoulder_pitch_joint").dofadr[0]
+        self.data.qfrc_applied[dof] = 8.0 * (begin < self.data.time < end)
+        step(self, motors, steps)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(World, "step", push)
+        yield
+
+
+def test_links_inside_each_other_in_the_reference():
+    into_torso = motion(ROLL, swing(-0.9, 0.5))
+    found = cause(played(into_torso))
+    assert (found.joint, found.cause) == ("left_shoulder_roll_joint", "self-collision")
+    assert "left shoulder yaw" in found.why
+    assert "torso" in found.why
+    depth = float(found.why.partition(" mm")[0].rpartition(" ")[2])
+    depths = SelfCollision(G1.default()).depths(into_torso.joint_pos)
+    deepest = max(depths, key=lambda pair: depths[pair].max())
+    assert deepest == ("torso_link", "left_shoulder_yaw_link")
+    assert depth == pytest.approx(1e3 * depths[deepest].max(), abs=2.0)
+
+
+def test_where_the_simulator_lets_them_be_that_is_no_cause():
+    through = played(motion(ROLL, swing(-0.9, 0.5)), sim={"self_collision": False})
+    assert cause(through).cause != "self-collision"
+    assert abs(cause(through).error_rad) < 0.01
+
+
+def test_a_motor_at_its_limit():
+    found = cause(played(motion(PITCH, swing(0.8, 4.0))))
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "torque")
+    assert "the 25 N·m" in found.why
+
+
+def test_targets_that_are_held_back():
+    beyond = played(motion(ELBOW, swing(1.9, 0.5)), stream={"beyond_limits": "clamp"})
+    assert cause(beyond).cause == "position limit"
+    kept = cause(played(motion(ELBOW, swing(1.2, 0.5)), safety={"position_margin": 0.25}))
+    assert kept.cause == "position limit"
+    assert "0.25" in kept.why
+    wrist = JOINT_NAMES.index("left_wrist_yaw_joint")
+    fast = motion(wrist, lambda t: 1.5 * np.sin(30.0 * t))
+    held = cause(played(fast, stream={"beyond_limits": "clamp"}))
+    assert (held.joint, held.cause) == ("left_wrist_yaw_joint", "speed limit")
+
+
+def test_a_stall_of_the_stream():
+    swings = motion(PITCH, swing(0.6, 1.0))
+    with stalled(RAMP + BEGIN + 0.25, 0.06):
+        found = cause(played(swings))
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "stall")
+    assert "60 ms" in found.why
+    assert cause(played(swings)).cause != "stall"
+
+
+def test_a_simulator_that_is_too_slow():
+    with half_as_fast():
+        found = cause(played(motion(PITCH, swing(0.6, 1.0))))
+    assert found.cause == "simulator"
+    assert "0.50" in found.why
+
+
+def test_a_simulator_that_stalls_for_a_moment():
+    step = SimulatedRobot.step
+
+    def pause(self, now):
+        if not 0 <= now - round((RAMP + BEGIN + 0.25) * 1e9) < 8_000_000:
+            step(self, now)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedRobot, "step", pause)
+        found = cause(played(motion(PITCH, swing(0.6, 1.0))))
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "simulator")
+    assert "ms behind" in found.why
+
+
+def test_what_is_late():
+    found = cause(played(motion(PITCH, swing(0.6, 1.0)), feedforward="none"))
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "lag")
+
+
+def test_commands_without_torque():
+    raised = played(motion(PITCH, slowly(-1.4)), feedforward="velocity")
+    found = cause(raised)
+    assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "no feed-forward")
+    assert "kp 40" in found.why
+
+
+def test_what_ramp_has_left():
+    found = cause(played(motion(PITCH, swing(0.1, 0.5)), stream={"ramp": 1.0}))
+    assert found.cause == "start"
+    assert found.at_s < 0.2
+    assert abs(found.error_rad) > 0.005
+
+
+def test_what_nothing_tells_has_no_cause():
+    with pushed(RAMP + BEGIN + 0.2, RAMP + BEGIN + 0.25):
+        found = cause(played(motion(PITCH, swing(0.6, 0.5))))
+    assert (found.joint, found.cause, found.why) == ("left_shoulder_pitch_joint", None, "")
+    assert abs(found.error_rad) > 0.05
+
+
+def test_a_file_and_a_selection_tell_the_same(tmp_path):
+    session = played(motion(PITCH, swing(0.8, 4.0)))
+    saved = open_session(session.save(tmp_path / "torque.mcap"))
+    assert cause(saved) == cause(session)
+    part = session.sel(time=slice(0.5, 1.0))
+    assert worst_error(part, part.tracking(), None) == cause(session)
+
+
+def test_no_error_has_no_cause(play, write_session):
+    found = cause(open_session(write_session(*play(0.0))))
+    assert abs(found.error_rad) < 1e-4
+    assert (found.cause, found.why) == (None, "")

@@ -273,24 +273,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def stranger() -> Iterator[Callable[..., int]]:
-    """Start a program that is no child of this process; gives its pid once it says so.
+    """Start a program that this process has not started; gives its pid once it says so.
 
     It runs until the end of the test. `prefix` is what it is started with, such as `unshare`.
     """
-    pids, shells = [], []
+    pids = []
 
     def start(code: str, *prefix: str) -> int:
         ended = "import os, sys, time\nprint(os.getpid(), flush=True)\ntime.sleep(60)"
         command = [*prefix, sys.executable, "-c", f"{code}\n{ended}"]
-        shell = subprocess.Popen(
-            ["sh", "-c", '"$@"; true', "sh", *command], stdout=subprocess.PIPE, text=True
-        )
-        shells.append(shell)
-        pids.append(int(shell.stdout.readline()))
+        # The shell ends at once, so that another process becomes the parent.
+        with subprocess.Popen(
+            ["sh", "-c", '"$@" &', "sh", *command], stdout=subprocess.PIPE, text=True
+        ) as shell:
+            pids.append(int(shell.stdout.readline()))
         return pids[-1]
 
     yield start
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
-    for shell in shells:
-        shell.communicate()

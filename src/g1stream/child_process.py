@@ -235,7 +235,9 @@ class Child:
             how = f"with exit code {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
             self._error = ChildError(
                 f"g1stream {self.name} ended {how}.",
-                f"Run g1stream {self.name} by itself to see why.",
+                "Its output above says why."
+                if self.name in _ELSEWHERE
+                else f"Run g1stream {self.name} by itself to see why.",
             )
         if self._error:
             self._fail(self._error.cause)
@@ -249,14 +251,20 @@ class Child:
             self._beating = True
         elif kind == "failed":
             self._fail(value)
+            if not self._ready.is_set():
+                self._error = ChildError(value, "Run it again where that is mended.")
+                self._ready.set()
         elif kind == "error":
             self._error = ChildError(*value)
             self._ended.set()
         else:
+            self._fail(f"g1stream {self.name} ended before it was told to.")
             self._result = value
             self._ended.set()
 
     def _check_silence(self, silence: float) -> None:
+        if self._connection.poll():  # this process was silent itself, and has yet to listen
+            return
         stopped = process_state(self._process.pid) in ("T", "t")
         if silence >= (_STOPPED_SILENCE if stopped else _MAX_SILENCE):
             how = "is stopped" if stopped else f"has not responded for {silence:.0f} s"
@@ -270,7 +278,7 @@ class Child:
     def _too_slow(self, step: str, timeout: float) -> ChildError:
         return ChildError(
             f"g1stream {self.name} did not {step} within {timeout:g} s.",
-            f"Run g1stream {self.name} by itself to see what delays it.",
+            "Look with top at what else takes the CPUs.",
         )
 
 

@@ -78,15 +78,23 @@ def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tm
     path = tmp_path / "s.mcap"
     with Participant(domain_id, "lo") as participant:
         states = RawWriter(participant, LOWSTATE, 20)
-        ready = threading.Event()
+        ready, recorders = threading.Event(), []
         thread = threading.Thread(
             target=program.record,
             args=(path, config),
-            kwargs={"session": SESSION, "should_stop": stop.is_set, "on_ready": ready.set},
+            kwargs={
+                "session": SESSION,
+                "should_stop": stop.is_set,
+                "on_ready": ready.set,
+                "on_recorder": recorders.append,
+            },
         )
         thread.start()
         try:
-            until(lambda: states.matched, "the recorder's reader")
+            until(
+                lambda: recorders and recorders[0]._receiver.matched()[LOWSTATE.name],
+                "the recorder's reader",
+            )
             for _ in range(10):
                 states.write(LowState().tobytes())
                 stop.wait(0.05)
@@ -116,11 +124,16 @@ def test_the_recorder_and_its_file_tell_the_same_problems(
         handler = LogHandler("sim", log.write)
         logger = logging.getLogger("g1stream.test_record")
         logger.addHandler(handler)
-        thread = threading.Thread(
-            target=lambda: summaries.append(program.record(path, config, should_stop=stop.is_set))
-        )
+        ready = threading.Event()
+
+        def record():
+            options = {"should_stop": stop.is_set, "on_ready": ready.set}
+            summaries.append(program.record(path, config, **options))
+
+        thread = threading.Thread(target=record)
         thread.start()
         try:
+            until(ready.is_set, "the recorder")
             until(lambda: states.matched and commands.matched and log.matched, "the recorder")
             for _ in range(3):
                 states.write(LowState().seal())

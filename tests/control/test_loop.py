@@ -54,7 +54,7 @@ def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, 
     link.robot.q[:] = np.linspace(-0.02, 0.02, 29)
     report = make_loop().run()
     played = np.array([sent.reference.q.copy() for sent in link.in_phase(Phase.PLAY)])
-    error, found = played - link.robot.q, report.error.sums
+    error, found = played - link.robot.q, report.error.finish()
     assert (found.n, report.error.excluded) == (PLAY, 0)
     assert report.error.duration == PLAY * PERIOD
     np.testing.assert_allclose(found.rmse, np.sqrt((error**2).mean(axis=0)), atol=1e-7)

@@ -67,7 +67,7 @@ def test_a_publisher_whose_clock_differs_counts_from_reception():
     """Its states seem late by what they were on their way, and not by the offset."""
     away = run(synthetic(clock_offset=-4.0, latency=0.001, bias=0.02))
     here = run(synthetic(latency=0.0, bias=0.02))
-    np.testing.assert_allclose(away.sums.rmse, here.sums.rmse, atol=2e-3)  # rad in 1 ms
+    np.testing.assert_allclose(away.finish().rmse, here.finish().rmse, atol=2e-3)  # rad in 1 ms
 
 
 def test_states_that_cannot_be_compared():
@@ -76,11 +76,11 @@ def test_states_that_cannot_be_compared():
     running.asked(10, TARGET, playing=True)
     for finite in (True, False, True):  # the last waits for a reference after it
         running.received(reading(NOTHING, 5, 6, finite=finite))
-    assert (running.sums.n, running.excluded) == (1, 1)
+    assert (running.finish().n, running.excluded) == (1, 1)
     running.asked(200_000_000, TARGET, playing=True)  # a gap
     running.received(reading(NOTHING, 90_000_000, 90_000_000))
     running.received(reading(NOTHING, 200_000_001, 200_000_001))
-    assert (running.sums.n, running.excluded) == (2, 2)
+    assert (running.finish().n, running.excluded) == (2, 2)
     assert running.duration == 10
 
 
@@ -90,7 +90,7 @@ def test_only_play_counts():
         running.asked(10 * time, TARGET, playing=playing)
     for time in (5, 15, 25, 35, 99):
         running.received(reading(NOTHING, time, time))
-    assert running.sums.n == 2  # after the first and the second reference of PLAY
+    assert running.finish().n == 2  # after the first and the second reference of PLAY
     assert running.duration == 20
 
 

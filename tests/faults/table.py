@@ -614,6 +614,8 @@ RECORDER: Final = [
     _recorder("recorder is killed", to_recorder(signal.SIGKILL), reason="SIGKILL"),
     _recorder("recorder is stopped", to_recorder(signal.SIGSTOP), reason="record"),
     _recorder("recorder's receiver is killed", to_receiver(signal.SIGKILL), reason="SIGKILL"),
+    _recorder("SIGTERM to the recorder's receiver", to_receiver(signal.SIGTERM), reason="receiver"),
+    _recorder("recorder's receiver is stopped", to_receiver(signal.SIGSTOP), reason="is stopped"),
     _recorder("file is deleted", lambda s: s.path.unlink(), reason="session.mcap"),
     _recorder("file is replaced", replace_file, reason="session.mcap"),
     _recorder(

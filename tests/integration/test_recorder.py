@@ -94,7 +94,11 @@ def record(domain_id, tmp_path, until):
             recording(domain_id, path, **options) as recorder,
         ):
             publisher = Publisher(participant, *topics)
-            until(publisher.matched, "the recorder's readers")
+            readers = recorder._receiver.matched
+            until(
+                lambda: publisher.matched() and all(readers()[topic.name] for topic in topics),
+                "the recorder's readers",
+            )
             publish(publisher)
         return recorder.report, path, publisher
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 from g1stream.errors import RobotError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import Record
@@ -66,6 +67,8 @@ _STALL: Final = 0.02
 _SLOW: Final = 0.8
 #: A robot whose clock counts in ms is behind the motion if it is so by this, s.
 _BEHIND: Final = 0.003
+#: Ticks that count ms have the usual step in this share, at least.
+_REGULAR: Final = 0.9
 #: Depth of two links in each other that is no rounding of their hulls, m.
 _INSIDE: Final = 0.001
 #: Links that a robot keeps apart touch within this share of the way to its reference.
@@ -168,8 +171,9 @@ class _Moment:
         self._rows = self._before(tracking.time, self._at - self._since)
         asked = session.reference
         order = np.argsort(asked.published, kind="stable")
-        self._asked_at, self._asked = asked.time[order], asked.q[order, joint]
-        self._phase = asked.phase[order]
+        self._asked_at = asked.time[order]
+        self._asked = asked.q[order, joint].clip(-NUMBER, NUMBER)
+        self._phase, self._motion_at = asked.phase[order], asked.motion_time[order]
         kind = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
         wanted: dict[type[Stream], tuple[NDArray[np.intp], Sequence[str]]] = {
             MeasuredStream: (np.sort(tracking.states[self._rows]), ("tau",))
@@ -199,7 +203,8 @@ class _Moment:
     def stall(self) -> str:
         times = np.sort(self._sent)
         first, end = np.searchsorted(times, (self._since, self._at))
-        gaps = np.diff(times[first : end + 1])  # that in which it is, too
+        first = max(0, first - 1)
+        gaps = np.diff(times[first : end + 1])  # those in which they are, too
         if not len(gaps) or gaps.max() <= max(_STALL, 3.0 * np.median(np.diff(times))):
             return ""
         begun = times[first + int(gaps.argmax())]
@@ -212,7 +217,8 @@ class _Moment:
         tracking = self._tracking
         rows = self._rows
         played = float(tracking.motion_time[rows[-1]] - tracking.motion_time[rows[0]])
-        ticks = self._session.measured.tick[tracking.states[rows]]
+        every = self._session.measured.tick
+        ticks = every[tracking.states[rows]]
         if not ticks.any():  # of a simulator that counts none
             slow = self._stream and self._stream.waited_s is None and self._stream.time_scale
             pace = slow or 1.0
@@ -220,7 +226,10 @@ class _Moment:
             passed = (int(ticks[-1]) - int(ticks[0])) % 2**32 / 1e3
             pace = passed / played if played > _EARLIER / 2 else 1.0
             behind = played - passed
-            if pace >= _SLOW and behind >= _BEHIND and self._explains(behind):
+            # unitree_mujoco's C++ bridge repeats ticks, and jumps, while nothing stalls.
+            steps = np.diff(every)
+            regular = np.mean(steps == np.median(steps)) > _REGULAR
+            if pace >= _SLOW and regular and behind >= _BEHIND and self._explains(behind):
                 return f"the simulator stalled: it was {1e3 * behind:.0f} ms behind the motion"
         if pace >= _SLOW:
             return ""
@@ -233,7 +242,11 @@ class _Moment:
         poses = np.concatenate([asked, done, done + _NEAR * (asked - done)])
         moved = _moved_by(robot, self.joint)
         deepest, text = _INSIDE, ""
-        for pair, depths in SelfCollision(robot).depths(poses).items():
+        try:
+            collision = SelfCollision(robot)
+        except ValueError:  # MuJoCo does not take its URDF
+            return ""
+        for pair, depths in collision.depths(poses).items():
             of_asked, of_done, near = depths.reshape(3, len(rows))
             k = int(of_asked.argmax())
             kept_apart = of_done[k] <= (1.0 - _SHARE) * of_asked[k] and near.any()
@@ -261,8 +274,10 @@ class _Moment:
             return ""
         limit = float(robot.velocity[self.joint])
         near = self._before(self._asked_at, self._at - self._since)
-        times = self._asked_at[near]
-        speeds = np.abs(np.diff(self._asked[near])) / np.maximum(np.diff(times), 1e-6)
+        # Not by the times of publication, which are late by what the loop is.
+        passed = np.diff(self._motion_at[near])
+        moved = np.abs(np.diff(self._asked[near]))
+        speeds = np.divide(moved, passed, out=np.zeros_like(moved), where=passed > 1e-6)
         missing = (
             self._tracking.reference[self.worst, self.joint] - self._commands.q[-1, self.joint]
         )

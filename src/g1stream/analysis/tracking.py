@@ -354,7 +354,7 @@ def errors_of_run(running: RunningError, played: NDArray[np.bool_]) -> JointErro
 
     `played` (29,) tells which joints played the motion.
     """
-    sums, joints = running.sums, tuple(np.flatnonzero(played).tolist())
+    sums, joints = running.finish(), tuple(np.flatnonzero(played).tolist())
     return JointErrors(sums, running.excluded, running.duration / 1e9, joints) if sums.n else None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from g1stream.cli.command import EXIT_OK, Command
@@ -15,8 +16,8 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from argparse import Action
 
-#: A value with one of these words in its metavar is a path.
-_FILES = ("FILE", "MCAP", "TOML", "ONNX", "URDF", "MOTION", "SESSION", "PATH", "BASE", "OUT")
+#: A text with one of these words in its metavar may be a path, too.
+_FILES = ("FILE", "TOML", "ONNX", "URDF", "MOTION", "SESSION", "OTHER")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,5 +77,5 @@ def _complete(action: Action, file: Any, directory: Any) -> None:
         action.type = None
     elif metavar == "DIR":
         action.complete = directory  # type: ignore[attr-defined]
-    elif any(word in metavar for word in _FILES):
+    elif action.type is Path or any(word in metavar for word in _FILES):
         action.complete = file  # type: ignore[attr-defined]

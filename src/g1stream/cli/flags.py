@@ -175,7 +175,7 @@ class _Parser(ArgumentParser):
         )
         self._command, self._everything = command, everything
         self._known = ["-h", "--help", "--help-all"]
-        self._hidden = 0
+        self._advanced = 0
         self._usage = [f"g1stream {command} [-h] [OPTIONS]"]
 
     def add_flag(
@@ -187,9 +187,9 @@ class _Parser(ArgumentParser):
         """
         note = f" ({option.note})" if option.note else ""
         about: dict[str, Any] = {"help": f"{option.text}{note}".replace("%", "%%")}
+        self._advanced += option.advanced
         if option.advanced and not self._everything:
             about["help"] = SUPPRESS
-            self._hidden += 1
         name = key.rpartition(".")[2]
         names = [flag_name(f"no_{name}" if option.switches_off else name), *option.aliases]
         if kind is bool:
@@ -248,8 +248,8 @@ class _Parser(ArgumentParser):
             break_on_hyphens=False,
         )
         self.usage = usage.lstrip()
-        if self._hidden or self._everything:
-            text = f"Show {counted(self._hidden, 'more flag')}, and their tables in a TOML file."
+        if self._advanced or self._everything:
+            text = f"Show {counted(self._advanced, 'more flag')}, and their tables in a TOML file."
             self.add_argument("--help-all", action="help", help=text)
 
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:

@@ -437,7 +437,7 @@ def _watch(
     while not parent.done.wait(max(0.0, (due - time.monotonic_ns()) / 1e9)):
         now, last_write = time.monotonic_ns(), heartbeat.last_write
         if not last_write:
-            heartbeat.subscribers = heartbeat.subscribers or subscribers()
+            heartbeat.subscribers = subscribers()
             due = now + _DISCOVERY_PERIOD
         elif why := watch.judge(now, due, last_write, partial(_state, settings.stream)):
             return why

@@ -102,7 +102,7 @@ class RunningError:
         """A reference was published at `stamp`, ns since the epoch."""
         if self._asked and (last := self._asked[-1]).playing:
             gap = stamp - last.stamp
-            self.duration += gap if gap <= MAX_GAP_NS else 0
+            self.duration += gap if 0 <= gap <= MAX_GAP_NS else 0
         self._asked.append(_Asked(stamp, target.q, target.motion_time, playing))
 
     def received(self, measured: Reading) -> None:
@@ -140,9 +140,8 @@ class RunningError:
         error = q + share[:, np.newaxis] * (later - q) - self._measured[rows]
         self._sums.add(error, times + share * (later_times - times))
 
-    @property
-    def sums(self) -> ErrorSums:
-        """The errors so far."""
+    def finish(self) -> ErrorSums:
+        """The errors of all states, after the last one."""
         if self._rows:
             self._add()
         return self._sums

@@ -273,8 +273,8 @@ class Participant:
             self._release()
             raise WireError(
                 f"Cyclone DDS cannot join domain {domain} on {interface}: {error.msg or error}.",
-                "Check CYCLONEDDS_URI if it is set, and that fewer than ten other programs share "
-                "the domain on this machine.",
+                "Check CYCLONEDDS_URI if it is set, and that fewer than ten other participants, of "
+                "which a recorder is two, share the domain on this machine.",
             ) from error
         self._participants = BuiltinDataReader(self.entity, BuiltinTopicDcpsParticipant)
         self._writers = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)

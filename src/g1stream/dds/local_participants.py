@@ -60,7 +60,7 @@ def domains_of_ports(ports: Iterable[int]) -> set[int]:
 
 
 def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
-    """The programs of this machine that take part in a domain, without this one's processes."""
+    """The programs of this machine in any domain, without this one and those that it started."""
     programs = _programs(proc)
     owners = {inode: pid for pid in programs for inode in _sockets(proc / str(pid))}
     found = set()
@@ -87,11 +87,11 @@ def _programs(proc: Path) -> dict[int, str]:
 
 
 def _is_ours(proc: Path, pid: int) -> bool:
-    """Whether it is this process or a child of it, such as the guard of a stream."""
+    """Whether it is this process or was started by it, as a recorder and its receiver are."""
     with suppress(OSError):
-        parent = (proc / str(pid) / "stat").read_text().rpartition(")")[2].split()[1]
-        return os.getpid() in (pid, int(parent))
-    return False
+        while pid > 1 and pid != os.getpid():
+            pid = int((proc / str(pid) / "stat").read_text().rpartition(")")[2].split()[1])
+    return pid == os.getpid()
 
 
 def _sockets(process: Path) -> Iterator[int]:

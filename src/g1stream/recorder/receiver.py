@@ -38,6 +38,8 @@ _BELOW_LOOP: Final = 5
 _WAIT_NS: Final = 20_000_000
 #: Samples of a topic that may wait while the process is not scheduled.
 _DEPTH: Final = 4096
+#: How long the process may take to end, s.
+_STOP_TIMEOUT: Final = 5.0
 #: Between two reports of losses and matches, s.
 _STATUS_PERIOD: Final = 0.05
 #: Memory for samples that have not been read, bytes: a minute at 1 kHz.
@@ -100,7 +102,7 @@ class Receiver:
     def stop(self) -> None:
         """Stop receiving; what has been received can still be drained."""
         try:
-            self._child.finish()
+            self._child.finish(timeout=_STOP_TIMEOUT)
         except ChildError as error:
             self._failure = self._failure or error.cause
 
@@ -194,15 +196,16 @@ class _Readers:
         self._discarded = dict.fromkeys(_NAMES, 0)
         self._status = b""  # as it was last written
 
-    def receive(self, should_stop: Callable[[], bool]) -> None:
+    def receive(self, parent: Parent) -> None:
         """Receive until told to stop."""
         status_due = 0.0
-        while not should_stop():
+        while not parent.done.is_set():
             self._waitset.wait(_WAIT_NS)
             self._take()
             if time.monotonic() >= status_due:
                 status_due = time.monotonic() + _STATUS_PERIOD
                 self._write_status()
+                parent.beat()
         self._take()
         self._write_status()
 
@@ -255,7 +258,7 @@ def _run_child(parent: Parent) -> None:
         readers = _Readers(participant, file)
         try:
             parent.ready()
-            readers.receive(parent.done.is_set)
+            readers.receive(parent)
         except (OSError, MemoryError) as error:
             raise RecordingError(
                 f"Receiving samples failed: {error}.", "Free memory and record again."

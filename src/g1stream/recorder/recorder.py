@@ -30,7 +30,7 @@ from g1stream.session.streams import LogEvent, warnings_in
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
@@ -201,6 +201,7 @@ class Recorder:
         except RecordingError as error:
             self.report.stopped = error.cause
             _LOGGER.error(error.cause)
+            self._receiver.stop()  # nobody reads any more what it receives
             # If the disk is full, the writer has kept room for this.
             with suppress(RecordingError):
                 self._write_events()
@@ -238,7 +239,7 @@ class Recorder:
         for messages in (*raw_messages(batches), *self._pipeline.encode(batches)):
             self._writer.write_batch(*messages)
             if messages.topic == "/log":
-                self._log += map(LogEvent.decode, messages.payloads)
+                self._keep_serious(map(bytes, messages.payloads))
         self._check_alignment()
         self._check_losses()
         self._check_clock()
@@ -253,8 +254,12 @@ class Recorder:
             record = self._events.get()
             logged = int(record.created * 1e9)
             line = encode_log(logged, severity(record), "record", record.getMessage())
-            self._log.append(LogEvent.decode(line))
+            self._keep_serious([line])
             self._writer.write("/log", line, time.time_ns(), logged)
+
+    def _keep_serious(self, lines: Iterable[bytes]) -> None:
+        """Keep the warnings among some log lines, for the report."""
+        self._log += [event for event in map(LogEvent.decode, lines) if event.is_serious]
 
     def _check_delay(self, name: str, batch: Batch) -> None:
         delays = self._delays[name]

@@ -211,15 +211,21 @@ class Mesh(NamedTuple):
         return Mesh(points, self.triangles[:, ::-1] if np.prod(scale) < 0.0 else self.triangles)
 
     def of_ghost(self) -> Mesh:
-        """The same of a ghost, each point moved inward; points are in m."""
+        """The same of a ghost, each point moved inward; points are in m.
+
+        A thin mesh is moved by less, so that its sides do not pass through each other.
+        """
         corners = self.points[self.triangles].astype(np.float64)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        if np.einsum("ij,ij->", normals, corners.mean(axis=1) - self.points.mean(axis=0)) < 0.0:
+            normals = -normals  # its faces look inward
+        inset = min(_GHOST_INSET, float(np.ptp(self.points, axis=0).min()) / 4)
         outward = np.zeros(self.points.shape)
         for corner in self.triangles.T:
             np.add.at(outward, corner, normals)
         length = np.linalg.norm(outward, axis=1, keepdims=True)
         outward = np.divide(outward, length, out=outward, where=length > 0.0)
-        return Mesh((self.points - _GHOST_INSET * outward).astype(np.float32), self.triangles)
+        return Mesh((self.points - inset * outward).astype(np.float32), self.triangles)
 
 
 def real_g1() -> G1 | None:

@@ -120,16 +120,19 @@ class _ChunkIndexes:
     """
 
     def __init__(self, directory: Path) -> None:
-        self._file = TemporaryFile(dir=directory)  # noqa: SIM115
+        # Unbuffered: nothing is left to be written when it is closed.
+        self._file = TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115
 
     def append(self, index: ChunkIndex) -> None:
-        pickle.dump(tuple(vars(index).values()), self._file)
+        data = pickle.dumps(tuple(vars(index).values()))
+        if self._file.write(data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def __iter__(self) -> Iterator[ChunkIndex]:
-        end = self._file.tell()
         self._file.seek(0)
-        while self._file.tell() < end:
-            yield ChunkIndex(*pickle.load(self._file))
+        with open(self._file.fileno(), "rb", closefd=False) as file, suppress(EOFError):
+            while True:
+                yield ChunkIndex(*pickle.load(file))
 
     def close(self) -> None:
         self._file.close()
@@ -170,6 +173,12 @@ class McapWriter:
         self._compression = CompressionType[compression.upper()]
         with output_errors(path):
             self._file = OutputFile(path)
+            try:
+                self._indexes = _ChunkIndexes(path.parent)
+            except OSError:
+                self._file.close()
+                path.unlink(missing_ok=True)
+                raise
         self._mcap = self._library_writer(summary=True)
         # Profile ros2 demands CDR in all channels; its readers refuse a file of several encodings.
         only_ros2 = profile is None and all(
@@ -280,7 +289,7 @@ class McapWriter:
             use_summary_offsets=summary,
         )
         if summary:
-            self._indexes = writer._Writer__chunk_indices = _ChunkIndexes(self.place.parent)  # type: ignore[attr-defined]
+            writer._Writer__chunk_indices = self._indexes  # type: ignore[attr-defined]
         return writer
 
     def _recover(self) -> None:
@@ -290,6 +299,7 @@ class McapWriter:
         channels, and does not know of what was written before.
         """
         self._file.rollback()
+        self._indexes.close()
         self._mcap = self._library_writer(summary=False)
         topics = list(self._channel_ids)
         self._channel_ids.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
@@ -514,6 +515,11 @@ class LogEvent(NamedTuple):
     name: str
     text: str
 
+    @property
+    def is_serious(self) -> bool:
+        """Whether it is a warning or worse; what the guard logs is told apart."""
+        return self.level in _SERIOUS and self.name != GUARD
+
     @classmethod
     def decode(cls, data: bytes) -> LogEvent:
         """The event in a message of /log.
@@ -542,15 +548,18 @@ def warnings_in(log: Iterable[LogEvent], last_command: int) -> list[str]:
         log: in the order of the file.
         last_command: when that was received, ns since the epoch; 0 if there was none.
     """
-    alike: dict[str, list[str]] = {}
+    last: dict[str, str] = {}
+    counts: Counter[str] = Counter()
     for event in log:
-        ended = event.text.startswith(LOWCMD_TIMEOUT) and event.time > last_command
-        if event.level in _SERIOUS and event.name != GUARD and not ended:
+        ended = event.text.startswith(LOWCMD_TIMEOUT) and 0 < last_command < event.time
+        if event.is_serious and not ended:
             text = f"{event.name}: {event.text}"
-            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+            kind = re.sub(r"\d+", "#", text)
+            last[kind] = text
+            counts[kind] += 1
     return [
-        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
-        for texts in alike.values()
+        text if counts[kind] == 1 else f"{text} (the last of {counts[kind]})"
+        for kind, text in last.items()
     ]
 
 

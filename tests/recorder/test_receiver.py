@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import threading
@@ -9,6 +10,7 @@ import time
 
 import pytest
 
+from g1stream import child_process
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
@@ -154,6 +156,16 @@ def test_a_receiver_that_ends_or_is_stopped_is_noticed(receiver, until, number, 
     receiver.drain()  # the status
     with pytest.raises(RecordingError, match=cause):
         receiver.drain()
+
+
+def test_a_program_that_is_silent_itself_does_not_blame_its_child(receiver, until, monkeypatch):
+    """As while a long computation in C holds the interpreter's lock."""
+    until(lambda: receiver._child._beating, "a sign of life")
+    monkeypatch.setattr(child_process, "_MAX_SILENCE", 1.0)
+    for _ in range(3):
+        ctypes.PyDLL(None).usleep(1_700_000)
+        time.sleep(0.05)
+    assert not receiver._failure
 
 
 @pytest.mark.parametrize("at_the_end", [False, True])

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from g1stream.cli.doctor import render
 from g1stream.cli.main import main
 from g1stream.doctor.facts import ok, problem, warning
@@ -20,6 +22,7 @@ def doctor(domain, *flags):
     return main(["doctor", "--domain", str(domain), "--seconds", "0.3", *flags])
 
 
+@pytest.mark.alone  # the robot of another test, in another domain, would be found
 def test_nobody_there_is_a_problem(domain_id, capsys):
     assert doctor(domain_id) == 2
     assert f"no publisher on rt/lowstate in domain {domain_id}" in capsys.readouterr().out

@@ -595,6 +595,7 @@ SIGNALS: Final = [
         "another stream is started",
         "process",
         act=another_stream,
+        prepare=flags("--repeat", "3"),  # a second one may take seconds to start
         at=0.0,
         code=0,
         ends=False,

@@ -16,7 +16,7 @@ from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
 from g1stream.control.wire_settings import for_wire
-from g1stream.dds.domain import DISCOVERY, Participant
+from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
@@ -89,7 +89,8 @@ def stream(
         from g1stream.control.loop import make_loop
         from g1stream.control.plan import plan
 
-        planned = plan(motion, config)
+        simulated = is_local_only(config.dds.interface)
+        planned = plan(motion, config, simulated=simulated)
         if config.stream.policy and config.stream.rehearse:
             _rehearse(motion, config)
         confirm_arming(participant, planned, arm)

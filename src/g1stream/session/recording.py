@@ -271,6 +271,8 @@ class Recording:
             inside = inside[(inside >= 0) & (inside < len(messages.log_times))]
             data[topic] += [messages.data[i] for i in inside.tolist()]
             begun[topic] += len(messages.log_times)
+            if all(len(data[one]) == len(wanted[kind][0]) for one, kind in kinds.items()):
+                break  # what is left of the file is not wanted
         for topic, kind in kinds.items():
             rows, columns = wanted[kind]
             found, whole = self.samples(kind, data[topic]), self.stream(kind)

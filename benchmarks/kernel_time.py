@@ -23,11 +23,12 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from g1stream.dds.messages import LowCmd, LowState
 from g1stream.realtime import on_time
 from recorder import BUSY, OURS, load_command, process
 
 #: By the size of a sample with its header, the topic.
-SIZES = {1004: "/lowcmd", 2092: "/lowstate"}
+SIZES = {len(LowCmd().tobytes()): "/lowcmd", len(LowState().tobytes()): "/lowstate"}
 #: Of RTPS 2.3, chapter 9.4: the submessages, and the length of a message's header.
 INFO_TS, DATA, HEADER = 0x09, 0x15, 20
 #: Before the payload in a DATA submessage without inline QoS.

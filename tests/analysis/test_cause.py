@@ -188,7 +188,7 @@ def test_commands_without_torque():
     found = cause(raised)
     assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "no feed-forward")
     assert "kp 40" in found.why
-    assert raised.command.missing("kp", "tau") == ["kp", "tau"]  # of a part only, not of the whole
+    assert raised.command.missing("kd") == ["kd"]  # what is looked at is not read of the whole
 
 
 def test_what_ramp_has_left():

@@ -8,7 +8,6 @@ that. Some have ports of the kernel's choice in place of those two.
 from __future__ import annotations
 
 import os
-import re
 from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.domain import MAX_DOMAIN
+from g1stream.dds.udp_sockets import socket_inodes, udp_sockets
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["LocalParticipant", "domains_of_ports", "local_participants"]
 
 _FIRST, _PER_DOMAIN, _UNICAST = 7400, 250, 10
-#: The state of a UDP socket that is not connected, as in /proc/net/udp: TCP_CLOSE.
-_UNCONNECTED: Final = "07"
 _LONGEST: Final = 80
 
 
@@ -62,13 +60,14 @@ def domains_of_ports(ports: Iterable[int]) -> set[int]:
 def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
     """The programs of this machine in any domain, without this one and those that it started."""
     programs = _programs(proc)
-    owners = {inode: pid for pid in programs for inode in _sockets(proc / str(pid))}
+    owners = {inode: pid for pid in programs for inode in socket_inodes(proc / str(pid))}
     found = set()
     for namespace, apart in _namespaces(proc, programs):
         ports: dict[tuple[int, str], set[int]] = defaultdict(set)
-        for port, uid, inode in _udp_ports(namespace):
-            pid = owners.get(inode, 0)
-            ports[pid, programs.get(pid) or f"a program of user {uid}"].add(port)
+        for one in udp_sockets(namespace):
+            if not one.connected:
+                pid = owners.get(one.inode, 0)
+                ports[pid, programs.get(pid) or f"a program of user {one.uid}"].add(one.port)
         for (pid, command), held in ports.items():
             if not _is_ours(proc, pid):
                 found |= {LocalParticipant(d, pid, command, apart) for d in domains_of_ports(held)}
@@ -94,15 +93,6 @@ def _is_ours(proc: Path, pid: int) -> bool:
     return pid == os.getpid()
 
 
-def _sockets(process: Path) -> Iterator[int]:
-    """The inodes of a process's sockets; none where this user may not see them."""
-    with suppress(OSError):
-        for file in (process / "fd").iterdir():
-            with suppress(OSError):
-                if match := re.fullmatch(r"socket:\[(\d+)\]", str(file.readlink())):
-                    yield int(match[1])
-
-
 def _namespaces(proc: Path, pids: Iterable[int]) -> Iterator[tuple[Path, bool]]:
     """A process of each network namespace that can be seen, this one's first; if it is another."""
     known: set[int] = set()
@@ -112,13 +102,3 @@ def _namespaces(proc: Path, pids: Iterable[int]) -> Iterator[tuple[Path, bool]]:
             if namespace not in known:
                 yield process, bool(known)
                 known.add(namespace)
-
-
-def _udp_ports(process: Path) -> Iterator[tuple[int, int, int]]:
-    """Port, user and inode of each unconnected UDP socket in a process's network namespace."""
-    for name in ("udp", "udp6"):
-        with suppress(OSError):
-            for line in (process / "net" / name).read_text().splitlines()[1:]:
-                _, local, _, state, _, _, _, uid, _, inode, *_ = line.split()
-                if state == _UNCONNECTED:
-                    yield int(local.rpartition(":")[2], 16), int(uid), int(inode)

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
+from g1stream.dds.udp_sockets import socket_inodes, udp_sockets
 from g1stream.session.records import ClockStep
 
 if TYPE_CHECKING:
@@ -90,16 +90,9 @@ class MissingCommands:
 
 def dropped_datagrams(pid: int) -> int:
     """How many datagrams the kernel discarded because a socket buffer of a process was full."""
-    inodes = set()
-    for descriptor in Path(f"/proc/{pid}/fd").glob("*"):
-        with suppress(OSError):  # closed in the meantime
-            inodes.add(descriptor.readlink().name.removeprefix("socket:[").removesuffix("]"))
-    dropped = 0
-    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
-        if table.exists():
-            rows = (line.split() for line in table.read_text().splitlines()[1:])
-            dropped += sum(int(row[-1]) for row in rows if row[9] in inodes)
-    return dropped
+    process = Path("/proc", str(pid))
+    inodes = set(socket_inodes(process))
+    return sum(one.dropped for one in udp_sockets(process) if one.inode in inodes)
 
 
 class Losses:

@@ -1,0 +1,57 @@
+"""The UDP sockets of this machine, as Linux tells them in /proc."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["UdpSocket", "socket_inodes", "udp_sockets"]
+
+#: The state of a UDP socket that is not connected: TCP_CLOSE.
+_UNCONNECTED: Final = "07"
+
+
+class UdpSocket(NamedTuple):
+    """A UDP socket.
+
+    Attributes:
+        port: that it is bound to.
+        connected: whether it has a peer.
+        uid: of its user.
+        inode: by which a process refers to it, see `socket_inodes`.
+        dropped: datagrams that the kernel discarded because its buffer was full.
+    """
+
+    port: int
+    connected: bool
+    uid: int
+    inode: int
+    dropped: int
+
+
+def socket_inodes(process: Path) -> Iterator[int]:
+    """The inodes of a process's sockets; none where this user may not see them.
+
+    `process` is its directory, such as /proc/self.
+    """
+    with suppress(OSError):
+        for file in (process / "fd").iterdir():
+            with suppress(OSError):  # closed in the meantime
+                if match := re.fullmatch(r"socket:\[(\d+)\]", str(file.readlink())):
+                    yield int(match[1])
+
+
+def udp_sockets(process: Path) -> Iterator[UdpSocket]:
+    """All UDP sockets in a process's network namespace; none where that cannot be seen."""
+    for name in ("udp", "udp6"):
+        with suppress(OSError):
+            for line in (process / "net" / name).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, uid, _, inode, *_, dropped = line.split()
+                port = int(local.rpartition(":")[2], 16)
+                connected = state != _UNCONNECTED
+                yield UdpSocket(port, connected, int(uid), int(inode), int(dropped))

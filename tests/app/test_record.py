@@ -92,7 +92,7 @@ def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tm
         thread.start()
         try:
             until(
-                lambda: recorders and recorders[0]._receiver.matched()[LOWSTATE.name],
+                lambda: recorders and recorders[0]._receiver.counts.matched[LOWSTATE.name],
                 "the recorder's reader",
             )
             for _ in range(10):

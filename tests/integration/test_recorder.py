@@ -94,9 +94,11 @@ def record(domain_id, tmp_path, until):
             recording(domain_id, path, **options) as recorder,
         ):
             publisher = Publisher(participant, *topics)
-            readers = recorder._receiver.matched
+            receiver = recorder._receiver
             until(
-                lambda: publisher.matched() and all(readers()[topic.name] for topic in topics),
+                lambda: (
+                    publisher.matched() and all(receiver.counts.matched[one.name] for one in topics)
+                ),
                 "the recorder's readers",
             )
             publish(publisher)

@@ -50,7 +50,7 @@ def writer(participant, receiver, until):
 
     def matched():
         receiver.drain()
-        return writer.matched and receiver.matched()[LOWSTATE.name]
+        return writer.matched and receiver.counts.matched[LOWSTATE.name]
 
     until(matched, "the receiver's reader")
     return writer
@@ -102,8 +102,8 @@ def test_samples_wait_for_whoever_drains_them_and_their_memory_is_given_back(
     assert log_times == sorted(log_times)
     assert before < log_times[0] <= log_times[-1] < after
     assert all(p <= logged for p, logged in zip(publish_times, log_times, strict=True))
-    assert receiver.matched()[LOWSTATE.name] == 1
-    assert receiver.lost()[LOWSTATE.name] == 0
+    assert receiver.counts.matched[LOWSTATE.name] == 1
+    assert receiver.counts.lost[LOWSTATE.name] == 0
     assert os.fstat(receiver._file).st_blocks * 512 < held / 2
 
 
@@ -128,9 +128,9 @@ def test_samples_without_room_are_counted_as_lost(participant, monkeypatch, unti
         readers._take()
         readers._write_status()
         status = os.pread(file, 1 << 16, 8192)[module._HEADER.size :]
-        counts = module.json.loads(status)
-        assert counts["discarded"][LOWCMD.name] == counts["lost"][LOWCMD.name] == 1
-        assert counts["lost"][LOWSTATE.name] == 0
+        counts = module.Counts(*module.json.loads(status))
+        assert counts.discarded[LOWCMD.name] == counts.lost[LOWCMD.name] == 1
+        assert counts.lost[LOWSTATE.name] == 0
     finally:
         del readers
         os.close(file)

@@ -14,7 +14,7 @@ import os
 import struct
 import time
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import Config
 
-__all__ = ["Receiver"]
+__all__ = ["Counts", "Receiver"]
 
 #: Below the loop and its threads of DDS, above the simulator.
 _BELOW_LOOP: Final = 5
@@ -49,9 +49,26 @@ _BLOCK: Final = 4 * 2**20
 
 #: Size of the data, number of the topic, log time, publish time, handle of the writer.
 _HEADER: Final = struct.Struct("<IiqqQ")
-#: In place of the number of a topic: the data is a status, as JSON.
+#: In place of the number of a topic: the data are `Counts`, as JSON.
 _STATUS: Final = -1
 _NAMES: Final = tuple(topic.name for topic in TOPICS)
+
+
+class Counts(NamedTuple):
+    """What readers know of their topics, by name.
+
+    Attributes:
+        matched: writers that it is matched with.
+        malformed: samples that were not of its type.
+        lost: samples known to be lost. A queue that was full may have lost any number, and counts
+            as one.
+        discarded: those of them that had no room, because too many waited to be drained.
+    """
+
+    matched: dict[str, int]
+    malformed: dict[str, int]
+    lost: dict[str, int]
+    discarded: dict[str, int]
 
 
 class Receiver:
@@ -59,6 +76,9 @@ class Receiver:
 
     Args:
         config: all settings.
+
+    Attributes:
+        counts: as of the last drain.
 
     Raises:
         ChildError: the process cannot be started.
@@ -68,7 +88,7 @@ class Receiver:
         self._file = os.memfd_create("g1stream-samples")
         self._read = self._freed = 0  # bytes of the file, from its start
         self._failure = ""
-        self._status: dict[str, dict[str, int]] = {}
+        self.counts = Counts(*(dict.fromkeys(_NAMES, 0) for _ in Counts._fields))
         priority = max(0, config.realtime.priority - _BELOW_LOOP)
         startup = (config.dds.domain, config.dds.interface, priority, self._file)
         try:
@@ -126,7 +146,7 @@ class Receiver:
             data = block[at + _HEADER.size : end]
             at = end
             if number == _STATUS:
-                self._status = json.loads(data)
+                self.counts = Counts(*json.loads(data))
                 continue
             batch = batches[_NAMES[number]]
             batch.data.append(data)
@@ -138,28 +158,6 @@ class Receiver:
         if failure and not at:
             raise RecordingError(failure, "Record again; the file contains all samples until then.")
         return dict(batches)
-
-    def matched(self) -> dict[str, int]:
-        """How many writers each topic is matched with."""
-        return self._count("matched")
-
-    def lost(self) -> dict[str, int]:
-        """How many samples of each topic are known to be lost.
-
-        A reader's queue that was full may have lost any number; it counts as one.
-        """
-        return self._count("lost")
-
-    def malformed(self) -> dict[str, int]:
-        """How many samples of each topic were not of its type."""
-        return self._count("malformed")
-
-    def discarded(self) -> dict[str, int]:
-        """How many of those that are lost had no room, because too many waited to be drained."""
-        return self._count("discarded")
-
-    def _count(self, what: str) -> dict[str, int]:
-        return self._status.get(what) or dict.fromkeys(_NAMES, 0)
 
     def _note_failure(self, cause: str) -> None:
         self._failure = cause
@@ -229,18 +227,17 @@ class _Readers:
             self._append(b"".join(pieces))
 
     def _write_status(self) -> None:
-        status = {
-            "matched": {reader.topic.name: reader.matched for reader in self._readers},
-            "malformed": {reader.topic.name: reader.malformed for reader in self._readers},
-            "lost": {
-                (name := reader.topic.name): (
-                    reader.lost + self._overflows[name] + self._discarded[name]
-                )
-                for reader in self._readers
+        readers = dict(zip(_NAMES, self._readers, strict=True))
+        counts = Counts(
+            matched={name: one.matched for name, one in readers.items()},
+            malformed={name: one.malformed for name, one in readers.items()},
+            lost={
+                name: one.lost + self._overflows[name] + self._discarded[name]
+                for name, one in readers.items()
             },
-            "discarded": self._discarded,
-        }
-        data = json.dumps(status).encode()
+            discarded=self._discarded,
+        )
+        data = json.dumps(counts).encode()
         if data != self._status:
             self._status = data
             self._append(_HEADER.pack(len(data), _STATUS, 0, 0, 0) + data)

@@ -212,7 +212,7 @@ class Recorder:
 
     def _is_matched(self, topics: Collection[str], deadline: float) -> bool:
         """Whether these have a publisher; raises where they have none after the deadline."""
-        matched = self._receiver.matched()
+        matched = self._receiver.counts.matched
         absent = [topic for topic in topics if not matched[topic]]
         if absent and time.monotonic() >= deadline:
             raise WireError(
@@ -295,7 +295,7 @@ class Recorder:
     def _check_losses(self) -> None:
         for name, number in self._update_losses().items():
             _LOGGER.warning("%s of %s lost", counted(number, "sample"), CHANNEL_OF.get(name, name))
-        if any(self._receiver.discarded().values()) and not self._overrun:
+        if any(self._receiver.counts.discarded.values()) and not self._overrun:
             self._overrun = True
             _LOGGER.warning(
                 "received samples are discarded: this process was stopped, or is too slow for them"
@@ -312,7 +312,7 @@ class Recorder:
         states = self._publishers.get(LOWSTATE.name)
         bridge = states.bridge if states else None
         step = bridge.tick_step if bridge else None
-        return self._losses.update(self._receiver.lost(), state_step=step)
+        return self._losses.update(self._receiver.counts.lost, state_step=step)
 
     def _check_clock(self) -> None:
         if step := self._steps.observe(self._clocks()):
@@ -349,7 +349,9 @@ class Recorder:
             CHANNEL_OF[name]: n for name, n in self._losses.lost.items() if name in CHANNEL_OF
         }
         report.malformed = {
-            CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n
+            CHANNEL_OF.get(name, name): n
+            for name, n in self._receiver.counts.malformed.items()
+            if n
         }
         if self._steps.first is not None:
             report.realtime_minus_monotonic_ns = (self._steps.first, self._steps.last)

@@ -142,6 +142,20 @@ def test_another_publisher_stops_within_a_tenth_of_a_second(make_loop, link):
     link.assert_damped()
 
 
+def test_the_guard_is_no_other_publisher(make_loop, link, monkeypatch):
+    """It takes over within a tick, after the loop has looked for that, and is then discovered."""
+
+    def discovered():
+        if len(link.sent) > 120:
+            link.guard_took_over = "the guard process damps the robot"
+        return [link.guard_took_over] * bool(link.guard_took_over)
+
+    monkeypatch.setattr(link, "other_publishers", discovered)
+    report = make_loop().run()
+    assert report.reason == "the guard process damps the robot"
+    link.assert_damped()
+
+
 def test_two_publishers_of_the_state_are_named(make_loop, link):
     names = ["a simulator (pid 1)", "another (pid 2)"]
     link.at_send(120, lambda: setattr(link, "state_others", names))

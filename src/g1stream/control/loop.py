@@ -294,8 +294,10 @@ class StreamLoop:
                 self._next_told = before.elapsed(now) + _TOLD_AGAIN
                 longest = self._schedule.wait / 1e9
                 _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
-        inputs = Inputs(missing, self._reason_to_stop(now, unknown))
-        self._schedule.advance(deadline, inputs)
+        reason = self._reason_to_stop(now, unknown)
+        if reason and before.phase < Phase.DAMP:  # where the guard took over, it is what was seen
+            reason = self._link.replaced() or reason
+        self._schedule.advance(deadline, Inputs(missing, reason))
         if self.state.phase is not before.phase:
             self._enter_phase(before)
         elif self.state.phase is Phase.RAMP:

@@ -102,9 +102,10 @@ def test_where_the_guard_has_taken_over_its_commands_are_sent(guarded):
 
 def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, monkeypatch):
     link, heartbeat, commands = guarded
-    write = RawWriter.write
+    write, waited_for = RawWriter.write, []
 
     def interrupted(writer, data, *more):
+        waited_for.append(heartbeat.writing)
         written = write(writer, data, *more)
         heartbeat.replace(DAMPING, Takeover.STOPPED)
         return written
@@ -112,6 +113,7 @@ def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, mon
     monkeypatch.setattr(RawWriter, "write", interrupted)
     link.send(STIFF, Reference().tobytes(), 1)
     assert commands(2) == [STIFF, DAMPING]
+    assert waited_for[-2:] == [True, True]  # the guard stops this process after both
 
 
 def test_a_state_has_its_publish_time_and_when_it_was_received(ends, until):

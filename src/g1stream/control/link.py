@@ -177,10 +177,10 @@ class DdsLink:
             replacement, written = heartbeat.replacement, 0
             try:
                 written = self._write(replacement or command, stamp)
+                if (newer := heartbeat.replacement) != replacement:
+                    self._commands.write(newer)  # the guard took over during the write
             finally:
                 heartbeat.end_write(written)
-            if (newer := heartbeat.replacement) != replacement:
-                self._commands.write(newer)  # the guard could not wait for the end of the write
         self._references.write(reference, stamp)
         return written
 

@@ -113,7 +113,7 @@ def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, mon
     monkeypatch.setattr(RawWriter, "write", interrupted)
     link.send(STIFF, Reference().tobytes(), 1)
     assert commands(2) == [STIFF, DAMPING]
-    assert waited_for == [True, True, False]  # the guard stops this process after both; the reference is last
+    assert waited_for == [True, True, False]  # the last is the reference
 
 
 def test_a_state_has_its_publish_time_and_when_it_was_received(ends, until):

@@ -6,7 +6,7 @@
 # docs/install.md says which rights the loop can use, and how to reach a robot.
 FROM debian:13-slim
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends python3 python3-venv libegl1 libgl1-mesa-dri libgomp1 \
+    && apt-get install --yes --no-install-recommends python3 python3-venv libegl1 libopengl0 libgl1-mesa-dri libgomp1 \
     && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/g1stream
 COPY pyproject.toml constraints.txt README.md LICENSE /src/

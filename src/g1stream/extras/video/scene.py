@@ -158,8 +158,8 @@ def _opengl_errors() -> Iterator[None]:
         raise SimError(
             f"There is no OpenGL to draw with: MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: "
             f"{' '.join(str(error).split())}.",
-            "Install EGL, on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri; or set "
-            "MUJOCO_GL to osmesa or glfw before the start.",
+            "Install EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri), "
+            "or set MUJOCO_GL to osmesa or glfw before the start.",
         ) from error
 
 

@@ -2,6 +2,8 @@
 
     python benchmarks/recorder.py                     one minute at 1 kHz, beside a plain recorder
     python benchmarks/recorder.py --seconds 600       ten
+    python benchmarks/recorder.py --seconds 1800 --rate 4000 --parts 12
+                                                      the messages of two hours, in twelve parts
     python benchmarks/recorder.py --limit             the rate at which it begins to lose
     python benchmarks/recorder.py --kill 100          SIGKILL at random moments
 
@@ -54,9 +56,18 @@ def load_command(domain: int, rate: float, seconds: float) -> list[str]:
 
 
 def run(
-    recorder: list[str], path: Path, domain: int, rate: float, seconds: float, busy: int
+    recorder: list[str],
+    path: Path,
+    domain: int,
+    rate: float,
+    seconds: float,
+    busy: int,
+    parts: int = 1,
 ) -> dict[str, Any]:
-    """Record a load; CPU and memory of the recorder, what it says and what was sent."""
+    """Record a load; CPU and memory of the recorder, what it says and what was sent.
+
+    The memory is that after `WARM` and at the end of each of `parts` of the time.
+    """
     with ExitStack() as stack:
         for _ in range(busy):
             stack.enter_context(process([sys.executable, "-c", BUSY]))
@@ -64,29 +75,32 @@ def run(
         load = stack.enter_context(process(load_command(domain, rate, seconds)))
         time.sleep(WARM)
         start, cpu = time.monotonic(), cpu_seconds(recording.pid)
-        memory = resident_mb(recording.pid)
-        time.sleep(max(1.0, seconds - WARM))
+        memory = [resident_mb(recording.pid)]
+        for part in range(1, parts + 1):
+            end = start + max(1.0, seconds - WARM) * part / parts
+            time.sleep(max(0.0, end - time.monotonic()))
+            memory.append(resident_mb(recording.pid))
         used = cpu_seconds(recording.pid) - cpu
         elapsed = time.monotonic() - start
-        grown = resident_mb(recording.pid) - memory
         sent = json.loads(load.communicate(timeout=60)[0])
         recording.send_signal(signal.SIGINT)
         said = json.loads(recording.communicate(timeout=60)[0])
         return {
             "cpu_percent": 100.0 * used / elapsed,
-            "memory_mb": memory + grown,
-            "memory_grown_mb": grown,
+            "memory_mb": memory,
             "sent": sent,
             "said": said,
             "exit_code": recording.returncode,
         }
 
 
-def measure(domain: int, rate: float, seconds: float, busy: int, directory: Path) -> dict[str, Any]:
+def measure(
+    domain: int, rate: float, seconds: float, busy: int, directory: Path, parts: int = 1
+) -> dict[str, Any]:
     """Ours at a rate: lost, told, CPU, memory, exactness."""
     path = directory / f"ours-{rate:g}.mcap"
-    done = run([*OURS, "--json"], path, domain, rate, seconds, busy)
-    found = check(path, done["sent"])
+    done = run([*OURS, "--json"], path, domain, rate, seconds, busy, parts)
+    found, memory = check(path, done["sent"], parts), done["memory_mb"]
     path.unlink()
     return {
         "rate_hz": rate,
@@ -99,10 +113,14 @@ def measure(domain: int, rate: float, seconds: float, busy: int, directory: Path
         "exact": found.exact,
         "exit_code": done["exit_code"],
         "cpu_percent": done["cpu_percent"],
-        "memory_mb": done["memory_mb"],
-        "memory_grown_mb": done["memory_grown_mb"],
+        "memory_mb": memory[-1],
+        "memory_grown_mb": memory[-1] - memory[0],
         "latency_us": found.latency_us,
-        "written_us": dict(zip(found.latency_us, done["sent"]["written_us"], strict=True)),
+        "parts": [
+            {"memory_mb": held, **latency}
+            for held, latency in zip(memory[1:], found.by_part, strict=True)
+        ],
+        "written_us": dict(zip(("p50", "p99", "p99.9"), done["sent"]["written_us"], strict=True)),
         "file_mb": found.size_mb,
     }
 
@@ -139,6 +157,9 @@ def print_row(name: str, row: dict[str, Any]) -> None:
     if written := row.get("written_us"):
         values = " ".join(f"{written[p]:>7.0f}" for p in ("p50", "p99", "p99.9"))
         print(f"{'  written':<67}{values}")
+    for number, part in enumerate(row.get("parts", []) if len(row.get("parts", [])) > 1 else []):
+        values = " ".join(f"{part[p]:>7.0f}" for p in ("p50", "p99", "p99.9", "p100"))
+        print(f"  part {number + 1:<44} {part['memory_mb']:>7.1f} {'':>6} {values}")
 
 
 def main() -> None:
@@ -147,6 +168,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1000.0, help="Hz, of each topic")
     parser.add_argument("--domain", type=int, default=97)
     parser.add_argument("--busy", type=int, default=1, help="processes that keep the CPUs busy")
+    parser.add_argument("--parts", type=int, default=1, help="rows of memory and latency in time")
     parser.add_argument("--limit", action="store_true", help="double the rate until it loses")
     parser.add_argument("--kill", type=int, default=0, metavar="N")
     parser.add_argument("--json", action="store_true")
@@ -159,7 +181,7 @@ def main() -> None:
             with process(load_command(domain, arguments.rate, 1e6)):
                 result = kill_at_random(OURS, directory, domain, arguments.kill)
         else:
-            rows = [measure(domain, arguments.rate, seconds, busy, directory)]
+            rows = [measure(domain, arguments.rate, seconds, busy, directory, arguments.parts)]
             while arguments.limit and not rows[-1]["lost"] and rows[-1]["rate_hz"] < 16_000:
                 rate = 2 * rows[-1]["rate_hz"]
                 rows.append(measure(domain, rate, min(seconds, 10), busy, directory))

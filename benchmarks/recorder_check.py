@@ -33,26 +33,34 @@ class Found:
     lost: int
     exact: bool
     latency_us: dict[str, float]
+    by_part: list[dict[str, float]]
     size_mb: float
 
 
-def check(path: Path, sent: dict[str, Any]) -> Found:
-    """Compare a recording, byte for byte, with what was sent."""
+def check(path: Path, sent: dict[str, Any], parts: int) -> Found:
+    """Compare a recording, byte for byte, with what was sent; latencies of it and of its parts."""
     lost, exact = 0, True
-    delays = []
+    delays: list[list[int]] = [[] for _ in range(parts)]
     for topic, digest in sent["sha256"].items():
         found, count = hashlib.sha256(), 0
         with path.open("rb") as file:
             for _, _, message in make_reader(file).iter_messages(topics=[topic]):
                 found.update(message.data)
-                delays.append(message.log_time - message.publish_time)
+                part = min(parts - 1, parts * count // sent["sent"])
+                delays[part].append(message.log_time - message.publish_time)
                 count += 1
         lost += sent["sent"] - count
         exact &= found.hexdigest() == digest
-    percentiles = (50, 99, 99.9)
+    by_part = [_latency(part) for part in delays]
+    whole = _latency([delay for part in delays for delay in part])
+    return Found(lost, exact, whole, by_part, path.stat().st_size / 1e6)
+
+
+def _latency(delays: list[int]) -> dict[str, float]:
+    """Percentiles, us."""
+    percentiles = (50, 99, 99.9, 100)
     values = np.percentile(delays, percentiles) / 1e3
-    latency = {f"p{p:g}": float(v) for p, v in zip(percentiles, values, strict=True)}
-    return Found(lost, exact, latency, path.stat().st_size / 1e6)
+    return {f"p{p:g}": float(v) for p, v in zip(percentiles, values, strict=True)}
 
 
 def processes(pid: int) -> list[int]:

@@ -39,15 +39,17 @@ class Found:
 
 def check(path: Path, sent: dict[str, Any], parts: int) -> Found:
     """Compare a recording, byte for byte, with what was sent; latencies of it and of its parts."""
-    lost, exact = 0, True
+    lost, exact, first = 0, True, 0
+    length = 1e9 * sent["sent"] / sent["rate_hz"]
     delays: list[list[int]] = [[] for _ in range(parts)]
     for topic, digest in sent["sha256"].items():
         found, count = hashlib.sha256(), 0
         with path.open("rb") as file:
             for _, _, message in make_reader(file).iter_messages(topics=[topic]):
                 found.update(message.data)
-                part = min(parts - 1, parts * count // sent["sent"])
-                delays[part].append(message.log_time - message.publish_time)
+                first = first or message.publish_time
+                part = int(parts * (message.publish_time - first) / length)
+                delays[min(max(part, 0), parts - 1)].append(message.log_time - message.publish_time)
                 count += 1
         lost += sent["sent"] - count
         exact &= found.hexdigest() == digest
@@ -59,7 +61,7 @@ def check(path: Path, sent: dict[str, Any], parts: int) -> Found:
 def _latency(delays: list[int]) -> dict[str, float]:
     """Percentiles, us."""
     percentiles = (50, 99, 99.9, 100)
-    values = np.percentile(delays, percentiles) / 1e3
+    values = np.percentile(delays or [np.nan], percentiles) / 1e3
     return {f"p{p:g}": float(v) for p, v in zip(percentiles, values, strict=True)}
 
 

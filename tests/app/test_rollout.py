@@ -136,6 +136,10 @@ def test_it_is_saved_as_a_recorder_writes_it(session, tmp_path):
     part = open_session(session.sel("PLAY").save(tmp_path / "play.mcap"))
     assert [one.phase for one in part.phases] == [Phase.PLAY]
     assert len(part.reference) == len(session.sel("PLAY").reference)
+    (shown,), (shapes,) = (one.messages("/measured/scene") for one in (part, session))
+    first = next(iter(session.sel("PLAY").messages("/reference")))
+    assert shown == shapes._replace(log_time=first.log_time)
+    assert shapes.log_time < first.log_time
 
 
 @pytest.fixture(scope="module")

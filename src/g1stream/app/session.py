@@ -187,7 +187,8 @@ class Session(Recording):
         """Write the session into one MCAP file: such as a rollout, or the part in a phase.
 
         Messages on g1stream's own topics are written byte for byte, with both their times, and the
-        metadata and attachments of the whole session with them.
+        metadata and attachments of the whole session with them. A part also has the shapes and the
+        description of the robot, which were published before it, at the start of the part.
 
         Args:
             path: of the file; its directory must exist.
@@ -196,11 +197,20 @@ class Session(Recording):
         Raises:
             RecordingError: the file cannot be written.
         """
-        path = Path(path)
+        path, whole = Path(path), Session(self.source)
+        topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
         messages = [
             [(message, topic) for message in self.messages(topic)]
-            for topic, count in sorted(self.topics.items())
-            if count and topic in CHANNELS
+            for topic in topics
+            if not CHANNELS[topic].latched
+        ]
+        starts = [found[0][0].log_time for found in messages if found]
+        start = min(starts, default=0) if self.selected else 0
+        messages += [
+            [(message._replace(log_time=max(message.log_time, start)), topic)]
+            for topic in topics
+            if CHANNELS[topic].latched
+            for message in whole.messages(topic)
         ]
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
             writer.add_metadata(self.metadata)

@@ -56,15 +56,17 @@ class Layout(Command):
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
         policy = simulated = False
+        robot = None
         if self.session:
             recording = open_recording(self.session)
+            robot = recording.robot
             joints = worst_joints(recording, len(joints)) or joints
             policy = bool(recording.topics.get("/policy/terms"))
             simulated = bool(recording.topics.get("/simulated/joint_states"))
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:
-            layout = foxglove_layout(joints, policy=policy, simulated=simulated)
+            layout = foxglove_layout(joints, robot, policy=policy, simulated=simulated)
             content = json.dumps(layout, indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name

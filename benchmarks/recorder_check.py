@@ -61,7 +61,8 @@ def check(path: Path, sent: dict[str, Any], parts: int) -> Found:
 def _latency(delays: list[int]) -> dict[str, float]:
     """Percentiles, us."""
     percentiles = (50, 99, 99.9, 100)
-    values = np.percentile(delays or [np.nan], percentiles) / 1e3
+    found = delays or [0]  # a part in which everything was lost
+    values = np.percentile(found, percentiles) / 1e3
     return {f"p{p:g}": float(v) for p, v in zip(percentiles, values, strict=True)}
 
 

@@ -59,7 +59,7 @@ _POLL_PERIOD: Final = 0.05
 
 
 class ChildError(G1StreamError):
-    """A child process failed, or did not answer in time."""
+    """A child process that failed or did not answer in time."""
 
 
 def process_state(pid: int) -> str:

@@ -194,8 +194,7 @@ class CommandLimits:
         """Velocities and torques (29,) that do not drive a clamped joint into its limit.
 
         Args:
-            excess: how far each target was above its upper limit, or below its lower one
-                (negative), rad.
+            excess: distance of each target above its upper limit, rad; negative below the lower.
             dq: target velocities, rad/s.
             tau: feed-forward torques, N·m.
 

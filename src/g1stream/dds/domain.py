@@ -190,7 +190,8 @@ class Endpoint:
     Attributes:
         topic, type_name: as announced in discovery.
         participant: GUID of its participant.
-        host, pid, process: of its participant; empty if not announced.
+        host, pid, process: host, process id and process name of its participant; empty if not
+            announced.
         handle: the `publication_handle` of its samples, for a writer.
         qos: Cyclone's Qos, as announced.
         type_id: XTypes identifier of the announced type; None if not announced.

@@ -150,7 +150,7 @@ class LowState(_Motors):
 
     Attributes:
         q, dq, ddq, tau_est: (29,) float32: rad, rad/s, rad/s^2, N·m.
-        quaternion: (4,) float32, wxyz, pelvis to world (yaw as the IMU counts it).
+        quaternion: (4,) float32, wxyz, pelvis to world (yaw relative to the IMU's start).
         gyroscope, accelerometer: (3,) float32, pelvis frame, rad/s and m/s^2, including gravity.
         rpy: (3,) float32, rad.
         tick: () uint32, ms.

@@ -196,7 +196,7 @@ class _Readers:
         self._status = b""  # the last written one
 
     def receive(self, parent: Parent) -> None:
-        """Receive until told to stop."""
+        """Receive until the parent requests the end."""
         status_due = 0.0
         while not parent.done.is_set():
             self._waitset.wait(_WAIT_NS)

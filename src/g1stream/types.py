@@ -63,8 +63,9 @@ Via = Literal["lowcmd", "arm_sdk"]
 """Receiver of commands: the motors, or the robot's own controller, which moves arms and waist."""
 
 ChannelSet = Literal["raw", "standard", "full"]
-"""Channels of a session file beside the samples, the log and the metadata: none; those for viewers,
-at `record.tf_rate`; the same with the joint states of every sample."""
+"""Channels of a session file beside the samples, the log and the metadata. `raw` has none,
+`standard` has those for viewers, at `record.tf_rate`, and `full` also has the joint states of every
+sample."""
 
 Camera = Literal["front", "oblique", "left", "back", "right"]
 """Position of a video's camera around the robot."""

@@ -1,15 +1,15 @@
-"""Play a reference motion on a Unitree G1 over DDS, and know exactly how well it went.
+"""Play a reference motion on a Unitree G1 over DDS, and measure how well the robot tracked it.
 
     import g1stream
 
     motion = g1stream.load_motion("dance.csv")
     summary = g1stream.stream(motion, record="session.mcap")
     session = g1stream.open_session("session.mcap")
-    print(session.summary())  # what is in it and how well it went
+    print(session.summary())  # contents and tracking quality
     session.tracking().rmse  # (29,) rad
-    session.reference.q, session.measured.q  # numpy arrays with both clocks beside them
+    session.reference.q, session.measured.q  # numpy arrays; the streams have log and publish times
 
-What the names stand for is loaded when it is first used, so that importing costs nothing.
+Modules are loaded when a name is first used, so importing the package is fast.
 """
 
 from importlib import import_module
@@ -17,7 +17,7 @@ from typing import Any
 
 from g1stream._version import __version__
 
-#: Name -> the module that it is of. Type checkers read `__init__.pyi`, which `make docs` writes.
+#: Name -> its module. Type checkers read `__init__.pyi`, which `make docs` writes.
 _HOME = {
     name: module
     for module, names in {

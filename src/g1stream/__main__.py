@@ -1,4 +1,4 @@
-"""`python -m g1stream` is `g1stream`."""
+"""Entry point of `python -m g1stream`, the same as `g1stream`."""
 
 import sys
 

@@ -1,11 +1,11 @@
-"""A program of ours run as a child process of another, connected by a pipe.
+"""Run one of the programs as a child process of another, connected by a pipe.
 
-The parent sends a startup message, the child answers that it is ready; later the parent sends a
-final message, the child finishes and answers with its result. A child whose parent is gone, however
-that ended, finishes as well.
+The parent sends a startup message and the child answers that it is ready. Later the parent sends a
+final message, and the child finishes and answers with its result. A child also finishes when its
+parent has ended for any reason.
 
-`multiprocessing` would start the child by importing the user's script once more, which has to be
-written for that, and leaves Ctrl-C in the terminal to the child, too; so only its pipe is used.
+Only the pipe of `multiprocessing` is used. Its processes import the user's script again, which must
+be written for that, and receive Ctrl-C in the terminal.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = [
     "run_child",
 ]
 
-#: Modules of the programs that are not in `g1stream.app`.
+#: Modules of the programs outside `g1stream.app`.
 _ELSEWHERE: Final = {
     "guard": "g1stream.control.guard",
     "receiver": "g1stream.recorder.receiver",
@@ -49,22 +49,23 @@ _ELSEWHERE: Final = {
 }
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-#: Between two heartbeats of a child, s; silence after which a stopped and a running one has failed.
+#: Time between two heartbeats of a child, and silence after which a stopped and a running child
+#: have failed, s.
 _BEAT_PERIOD: Final = 0.5
 _STOPPED_SILENCE: Final = 1.0
 _MAX_SILENCE: Final = 5.0
-#: How often a wait for a child asks whether it is abandoned, s.
+#: Interval at which a wait for a child checks whether it is abandoned, s.
 _POLL_PERIOD: Final = 0.05
 
 
 class ChildError(G1StreamError):
-    """A child process failed, or did not answer in time."""
+    """A child process that failed or did not answer in time."""
 
 
 def process_state(pid: int) -> str:
-    """The state of a process as in proc(5), such as T for stopped; "" where there is none.
+    """The state of a process as in proc(5), such as T for stopped; "" if there is no such process.
 
-    One that is being killed by a fault counts as X, also while its memory is written to a file.
+    A process that a fault is killing counts as X, also while its core is dumped.
     """
     try:
         status = Path(f"/proc/{pid}/status").read_text()
@@ -80,7 +81,7 @@ def _never() -> bool:
 
 
 def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
-    """Start a program; returns our end of the pipe to it, and its process."""
+    """Start a program; return the parent's end of the pipe, and the process."""
     ours, theirs = Pipe()
     module = _ELSEWHERE.get(name, f"g1stream.app.{name}")
     with theirs:
@@ -88,10 +89,10 @@ def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.P
             [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno(), *pass_fds],
             stdin=subprocess.DEVNULL,
-            stdout=2,  # what a library prints must not get into our --json
-            # Our matrices are small; a pool of BLAS threads would only cost time at the start.
+            stdout=2,  # output of libraries must not get into the parent's --json
+            # The matrices are small; a pool of BLAS threads would only slow down the start.
             env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-            # Ctrl-C in the terminal goes to the parent only, which ends the child.
+            # Ctrl-C in the terminal reaches only the parent, which ends the child.
             start_new_session=True,
         )
     return ours, process
@@ -101,11 +102,11 @@ class Child:
     """A program running as a child process.
 
     Args:
-        name: of its module, which ends in a call of `run_child`.
-        startup_message: what the program is to do; anything that can be pickled.
-        pass_fds: file descriptors that it inherits.
-        on_failure: called once, from another thread, with the cause, when it fails, ends before it
-            is told to, or does not show that it is alive (`Parent.beat`).
+        name: name of the program's module, which ends in a call of `run_child`.
+        startup_message: input of the program; anything that can be pickled.
+        pass_fds: file descriptors that the program inherits.
+        on_failure: called once, from another thread, with the cause, when the program fails, ends
+            unexpectedly, or sends no heartbeat (`Parent.beat`).
 
     Raises:
         ChildError: the system cannot start a process.
@@ -126,8 +127,7 @@ class Child:
         except OSError as error:
             raise ChildError(
                 f"g1stream {name} cannot be started: {error.strerror}.",
-                "Look at the limits of this process with `ulimit -a`: open files, processes and "
-                "memory.",
+                "Check the limits on open files, processes and memory with `ulimit -a`.",
             ) from error
         self._ready, self._ended = threading.Event(), threading.Event()
         self._result: Any = None
@@ -148,10 +148,10 @@ class Child:
     def wait_until_ready(
         self, timeout: float = 20.0, abandoned: Callable[[], bool] = _never
     ) -> None:
-        """Wait until the program says that it is ready, or until `abandoned`.
+        """Wait until the program is ready, or until `abandoned` returns True.
 
         Raises:
-            ChildError: it failed, ended or was not ready in time, s.
+            ChildError: the program failed, ended, or was not ready within `timeout` s.
         """
         self._wait(self._ready, "be ready", timeout, abandoned)
 
@@ -164,8 +164,8 @@ class Child:
         """Tell the program to finish, wait until its process has ended, and return its result.
 
         Raises:
-            ChildError: it failed, did not finish in time, s, or the wait for it was abandoned; the
-                process is gone all the same.
+            ChildError: the program failed or did not finish within `timeout` s, or `abandoned`
+                returned True. The process has ended in any case.
         """
         self._finishing = True
         try:
@@ -173,8 +173,8 @@ class Child:
             self._wait(self._ended, "finish", timeout, abandoned)
             if not self._ended.is_set():
                 raise ChildError(
-                    f"g1stream {self.name} was ended before it had finished.",
-                    "Wait until it has, or end the program that waits for it once only.",
+                    f"g1stream {self.name} was ended before it finished.",
+                    "Wait until it finishes, and interrupt g1stream only once.",
                 )
             self._process.wait(timeout)
         except subprocess.TimeoutExpired as error:
@@ -184,10 +184,10 @@ class Child:
         return self._result
 
     def kill(self, *, at_once: bool = False) -> None:
-        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL.
+        """End the process if it still runs, with SIGTERM and, after 5 s, with SIGKILL.
 
         Args:
-            at_once: by SIGKILL in any case.
+            at_once: use SIGKILL immediately.
         """
         self._finishing = True
         if at_once or process_state(self._process.pid) in ("T", "t"):
@@ -219,11 +219,11 @@ class Child:
             raise self._error
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # the process has ended; the listener says so
+        with suppress(OSError):  # the process has ended, which the listener reports
             self._connection.send(message)
 
     def _listen(self) -> None:
-        """Receive what the program says until it has ended."""
+        """Receive the program's messages until it has ended."""
         try:
             while not self._ended.is_set():
                 self._hear(*self._connection.recv())
@@ -235,9 +235,9 @@ class Child:
             how = f"with exit code {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
             self._error = ChildError(
                 f"g1stream {self.name} ended {how}.",
-                "Its output above says why."
+                "See its output above for the reason."
                 if self.name in _ELSEWHERE
-                else f"Run g1stream {self.name} by itself to see why.",
+                else f"Run g1stream {self.name} by itself to see the reason.",
             )
         if self._error:
             self._fail(self._error.cause)
@@ -252,18 +252,18 @@ class Child:
         elif kind == "failed":
             self._fail(value)
             if not self._ready.is_set():
-                self._error = ChildError(value, "Run it again where that is mended.")
+                self._error = ChildError(value, "Fix this and run it again.")
                 self._ready.set()
         elif kind == "error":
             self._error = ChildError(*value)
             self._ended.set()
         else:
-            self._fail(f"g1stream {self.name} ended before it was told to.")
+            self._fail(f"g1stream {self.name} ended unexpectedly.")
             self._result = value
             self._ended.set()
 
     def _check_silence(self, silence: float) -> None:
-        if self._connection.poll():  # this process was silent itself, and has yet to listen
+        if self._connection.poll():  # this process was delayed and has not read the message yet
             return
         stopped = process_state(self._process.pid) in ("T", "t")
         if silence >= (_STOPPED_SILENCE if stopped else _MAX_SILENCE):
@@ -278,7 +278,7 @@ class Child:
     def _too_slow(self, step: str, timeout: float) -> ChildError:
         return ChildError(
             f"g1stream {self.name} did not {step} within {timeout:g} s.",
-            "Look with top at what else takes the CPUs.",
+            "Check with `top` which other programs use the CPUs.",
         )
 
 
@@ -286,21 +286,21 @@ class Child:
 def optional_child(
     name: str, startup_message: Any, consequence: str, abandoned: Callable[[], bool] = _never
 ) -> Iterator[None]:
-    """Run a program that nothing else depends on, for the length of a `with`.
+    """Context manager that runs a program whose failure does not stop the others.
 
     Args:
         name: as of `Child`.
-        startup_message: what it is to do.
-        consequence: of a failure once it is ready, for the warning that is all it causes then.
-        abandoned: asked while the program starts; True ends the wait for it.
+        startup_message: as of `Child`.
+        consequence: effect of a later failure, for the warning; the failure has no other effect.
+        abandoned: called while the program starts; True ends the wait for it.
 
     Raises:
-        ChildError: it cannot be started, or failed before it was ready.
+        ChildError: the program cannot be started, or failed before it was ready.
     """
     ready = False
 
     def warn(cause: str) -> None:
-        if ready:  # else it is raised
+        if ready:  # before that, the failure is raised
             logging.getLogger(f"g1stream.{name}").warning("%s: %s", consequence, cause)
 
     child = Child(name, startup_message, on_failure=warn)
@@ -315,7 +315,7 @@ def optional_child(
 def publishing_for_ros2(
     config: Config, abandoned: Callable[[], bool] = _never
 ) -> AbstractContextManager[None]:
-    """Publish for ROS 2 from a process of its own, where `dds.ros_tf` is set; needs the extra.
+    """Publish for ROS 2 from a separate process if `dds.ros_tf` is set; needs the extra `ros2`.
 
     Args:
         config: all settings.
@@ -328,7 +328,7 @@ def publishing_for_ros2(
     if not config.dds.ros_tf:
         return nullcontext()
     require_installed("rosbags", "ros2", "Topics of ROS 2 need")
-    consequence = "nothing is published for ROS 2 any more"
+    consequence = "publishing for ROS 2 has stopped"
     return optional_child("ros2", config, consequence, abandoned)
 
 
@@ -336,11 +336,11 @@ class Parent:
     """The child's side of the pipe.
 
     Attributes:
-        startup_message: what the program is to do.
-        final_message: what came with the request to finish; None where the parent is gone.
-        done: set when the program is to finish: the parent said so, or is gone, or a signal came.
-        signal: name of the signal that came, or "".
-        gone: when the parent went without a request to finish, s of CLOCK_MONOTONIC.
+        startup_message: input of the program.
+        final_message: message of the request to finish; None if the parent has ended without one.
+        done: set when the program must finish, on the parent's request, its end, or a signal.
+        signal: name of the received signal, or "".
+        gone: when the parent ended without a request to finish, s of CLOCK_MONOTONIC.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -354,17 +354,17 @@ class Parent:
         threading.Thread(target=self._wait, name="parent", daemon=True).start()
 
     def ready(self) -> None:
-        """Say that the program is ready."""
+        """Report that the program is ready."""
         self._send("ready", None)
 
     def beat(self) -> None:
-        """Say that the program is alive; once begun, a few times per second."""
+        """Send a heartbeat, at most every 0.5 s; after the first one, the parent expects them."""
         if time.monotonic() >= self._next_beat:
             self._next_beat = time.monotonic() + _BEAT_PERIOD
             self._send("alive", None)
 
     def failed(self, cause: str) -> None:
-        """Say that the program cannot do what it was told to, and will finish later."""
+        """Report that the program cannot do its task; it continues until it is told to finish."""
         self._send("failed", cause)
 
     def end_by_signal(self, number: int, _: object) -> None:
@@ -388,7 +388,7 @@ def run_child(program: Callable[[Parent], Any]) -> None:
     """Run a program in this process for the parent that started it, and exit.
 
     Args:
-        program: returns its result, which must be picklable, soon after `Parent.done` is set.
+        program: returns its picklable result soon after `Parent.done` is set.
     """
     parent = Parent(Connection(int(sys.argv[1])))
     for number in _SIGNALS:

@@ -1,4 +1,4 @@
-"""The clocks of a loop, behind an interface that tests can replace, and its deadlines."""
+"""Clocks of a real-time loop, behind an interface that tests can replace, and its deadlines."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _AVERAGED: Final = 16
 
 
 class Clock(Protocol):
-    """The clocks that a loop needs."""
+    """Interface of the clocks that a loop needs."""
 
     def now(self) -> int:
         """CLOCK_MONOTONIC, ns; for deadlines."""
@@ -33,9 +33,9 @@ class Clock(Protocol):
 class SystemClock:
     """The clocks of this machine.
 
-    A thread that sleeps until a deadline wakes up some 50 us after it: the latency of the timer
-    interrupt, the scheduler and Python. The clock measures that latency, sets the alarm earlier by
-    its average, and busy-waits for the rest.
+    A thread that sleeps until a deadline wakes up about 50 us after it, because of the latency of
+    the timer interrupt, the scheduler and Python. The clock measures that latency, sets the alarm
+    earlier by its average, and busy-waits until the deadline.
     """
 
     def __init__(self) -> None:
@@ -62,13 +62,13 @@ class SystemClock:
 
 @dataclass
 class Ticker:
-    """Yields the ticks of a loop at absolute deadlines, start + k * period.
+    """Iterator over the ticks of a loop at absolute deadlines, start + k * period.
 
-    A tick that is a whole period late or more is skipped in favour of the newest one whose deadline
+    A tick that is late by a period or more is skipped in favour of the newest one whose deadline
     has passed, so that a delay never ends in a burst.
 
     Attributes:
-        clock: now and sleep_until.
+        clock: provides now and sleep_until.
         period: ns between deadlines.
         start: the first deadline, ns.
         skipped: number of skipped ticks.

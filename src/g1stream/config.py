@@ -1,8 +1,8 @@
-"""The settings of every program: each is declared once, in a table here; TOML files and flags.
+"""Settings of all programs: their declarations, and reading them from TOML files and flags.
 
-A TOML file has one table for each class below; what it leaves out keeps its default, and a flag on
-the command line goes over both. To add a setting, and its flag, add a field with `setting`; then
-`make docs` writes it into configs/sim.toml.
+A TOML file has one table for each class below. Settings that it leaves out keep their defaults, and
+a flag on the command line overrides both. To add a setting and its flag, add a field with
+`setting`; then `make docs` writes it into configs/sim.toml.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ __all__ = [
     "settings",
 ]
 
-#: The greatest gains that are ever sent, N·m/rad and N·m·s/rad: beyond any that a G1 is run with.
+#: The highest gains that can be configured, N·m/rad and N·m·s/rad. No G1 is run with higher ones.
 _MAX_KP, _MAX_KD = 500.0, 50.0
 
-#: Commands with the same flags: those that go on DDS, play a motion, write a session file.
+#: Groups of commands that share flags: they use DDS, play a motion or write a session file.
 _ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
 _DDS = (*_ON_ROBOT, "robot")
 _RECORD = ("stream", "replay", "record")
@@ -91,19 +91,19 @@ def setting(
     example: Any = None,
     **limits: Any,
 ) -> Any:
-    """A field of a table: the one place where a setting is declared.
+    """Declare a setting as a field of a table.
 
-    Its check, its flag and that flag's help, and its lines in configs/sim.toml all come from here.
+    The validation, the flag, the help and the lines in configs/sim.toml are derived from it.
 
     Args:
-        default: without a config file and a flag; None for a setting that is unset.
-        description: what it means, without its unit.
-        unit: SI symbol, empty where it has none.
-        flag: subcommands on which `--name` goes over the config file.
-        advanced: of these flags only --help-all shows it.
-        metavar: of its flag, where neither unit nor type says what a value is.
-        example: a value to show where there is no default.
-        limits: `ge`, `gt`, `le`, `lt` and the other limits that pydantic knows.
+        default: value without a config file and a flag; None for a setting that is unset.
+        description: meaning of the setting, without its unit.
+        unit: SI symbol; empty if the setting has no unit.
+        flag: subcommands on which `--name` overrides the config file.
+        advanced: show the flag only in --help-all.
+        metavar: placeholder for the flag's value, if neither unit nor type describes it.
+        example: a value to show if there is no default.
+        limits: `ge`, `gt`, `le`, `lt` and the other constraints of pydantic.
     """
     about: Any = {"unit": unit, "flag": flag, "advanced": advanced, "metavar": metavar}
     examples = None if example is None else [example]
@@ -115,27 +115,27 @@ def setting(
 class Table(BaseModel):
     """Settings that are declared with `setting`."""
 
-    # Strict: TOML has a type for everything, so that "yes" is no bool and true is no number.
+    # Strict, because TOML values have types: "yes" is not a bool and true is not a number.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class DdsConfig(Table):
-    """Where on DDS."""
+    """DDS domain and network interface."""
 
     domain: int = setting(
         1, "DDS domain; simulators use 1, the robot uses 0", flag=_DDS, ge=0, le=232
     )
     interface: str = setting(
         "lo",
-        "network interface; lo stays on this machine",
+        "network interface; on lo, messages stay on this machine",
         flag=_DDS,
         metavar="INTERFACE",
         min_length=1,
     )
     ros_tf: bool = setting(
         False,
-        "publish the measured robot and its ghost for ROS 2, record.tf_rate times a second: /tf, "
-        "/joint_states and /robot_description",
+        "publish /tf, /joint_states and /robot_description of the measured robot and of the "
+        "reference (ghost) for ROS 2, record.tf_rate times a second",
         flag=_ROS,
         advanced=True,
     )
@@ -155,7 +155,7 @@ class StreamConfig(Table):
     )
     wait: float = setting(
         10.0,
-        "longest wait for a first LowState and for a subscriber of LowCmd; discovery alone may "
+        "maximum wait for the first LowState and for a subscriber of LowCmd; discovery alone may "
         "take 2 s",
         "s",
         ge=1.0,
@@ -163,7 +163,7 @@ class StreamConfig(Table):
     )
     ramp: float = setting(
         3.0,
-        "least time from the measured pose to the first frame",
+        "minimum time from the measured pose to the first frame",
         "s",
         flag=PLAY_FLAG,
         advanced=True,
@@ -171,23 +171,23 @@ class StreamConfig(Table):
         le=60.0,
     )
     soft_start: float = setting(
-        0.0, "time of damping, without position control, before the ramp", "s", ge=0.0, le=10.0
+        0.0, "duration of damping, without position control, before the ramp", "s", ge=0.0, le=10.0
     )
     ramp_speed: float = setting(
         1.5,
-        "highest speed of a joint on the way to the first frame, which takes longer for it",
+        "maximum joint speed on the way to the first frame; the ramp takes longer if needed",
         "rad/s",
         ge=0.01,
         le=10.0,
     )
     hold: float = setting(1.0, "time at the last frame", "s", ge=0.0, le=86_400.0)
-    damp: float = setting(1.0, "time of damping at the end", "s", ge=0.5, le=10.0)
+    damp: float = setting(1.0, "duration of damping at the end", "s", ge=0.5, le=10.0)
     start: float = setting(
-        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "demo", "physics"), ge=0.0
+        0.0, "start time in the motion", "s", flag=(*PLAY_FLAG, "demo", "physics"), ge=0.0
     )
     duration: float | None = setting(
         None,
-        "how much of the motion to play; to its end if unset",
+        "how much of the motion to play; if unset, play to its end",
         "s",
         flag=(*PLAY_FLAG, "demo", "physics"),
         example=10.0,
@@ -197,8 +197,8 @@ class StreamConfig(Table):
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
     via: Via = setting(
         "lowcmd",
-        "what is commanded; lowcmd: the motors; arm_sdk: the robot's own controller, which takes "
-        "targets for arms and waist while it stands and balances",
+        "receiver of the commands; lowcmd: the motors; arm_sdk: the robot's own controller, which "
+        "accepts targets for arms and waist while it stands and balances",
         flag=PLAY_FLAG,
         advanced=True,
     )
@@ -212,22 +212,22 @@ class StreamConfig(Table):
     )
     others: OtherJoints = setting(
         "hold",
-        "what the other joints do; hold: keep the pose measured when the ramp begins; free: only "
-        "damp, with their kd",
+        "behaviour of the other joints; hold: keep the pose measured when the ramp begins; free: "
+        "only damp, with their kd",
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
     )
     beyond_limits: BeyondLimits = setting(
         "refuse",
-        "a motion beyond the joint limits: refuse it; scale-time: slow it down until its speeds "
-        "fit; clamp: hold its targets at the limits; anyway: play it at its speeds, on the "
-        "loopback interface only",
+        "handling of a motion beyond the joint limits; refuse: do not play it; scale-time: slow it "
+        "down until its speeds fit; clamp: hold its targets at the limits; anyway: play it at its "
+        "own speeds, on the loopback interface only",
     )
-    damp_kd: float = setting(3.0, "gain of every joint while damping", "N·m·s/rad", ge=0.5, le=10.0)
+    damp_kd: float = setting(3.0, "kd of every joint while damping", "N·m·s/rad", ge=0.5, le=10.0)
     feedforward: FeedForwardKind | None = setting(
         None,
-        "what commands carry beside the position: nothing, velocity, or velocity and torque; if "
-        "unset, dynamics for a simulator on this machine that says how it holds the robot, and "
+        "feed-forward beside the position: nothing, velocity, or velocity and torque (dynamics); "
+        "if unset, dynamics for a simulator on this machine that announces its support, and "
         "velocity otherwise",
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
@@ -235,9 +235,9 @@ class StreamConfig(Table):
     )
     support: StreamSupport | None = setting(
         None,
-        "how the robot is held, which the torque depends on (a wrong value tracks worse than no "
-        "torque); feet: nothing holds it, and it is kept on its feet (extra `feet`); as the "
-        "simulator says if unset",
+        "how the robot is held, which the feed-forward torque depends on (a wrong value tracks "
+        "worse than no torque); feet: nothing holds it, and the stream balances it (extra `feet`); "
+        "if unset, as the simulator announces",
         flag=PLAY_FLAG,
         example="bolted",
     )
@@ -251,7 +251,7 @@ class StreamConfig(Table):
     )
     stand: float = setting(
         3.0,
-        "with a policy, how long the robot stands before and after the motion",
+        "with a policy, time for which the robot stands before and after the motion",
         "s",
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
@@ -260,8 +260,8 @@ class StreamConfig(Table):
     )
     rehearse: float = setting(
         5.0,
-        "with a policy, how much of the motion it plays in the simulator, without DDS, before the "
-        "stream begins; a fall there refuses it; 0 for none",
+        "with a policy, length of the motion's beginning that is tested in the simulator, without "
+        "DDS, before the stream begins; the stream is refused if the robot falls; 0: no test",
         "s",
         flag=PLAY_FLAG,
         advanced=True,
@@ -270,16 +270,16 @@ class StreamConfig(Table):
     )
     experimental_feet: bool = setting(
         False,
-        "allow --support feet on other interfaces than loopback, where there may be a robot; it "
-        "has been tried in simulators only",
+        "allow --support feet on interfaces other than loopback, where there may be a robot; it "
+        "has been tested in simulators only",
         flag=("stream",),
         advanced=True,
     )
     preview: float | None = setting(
         None,
-        "commands are ahead of the motion by this, as they act a little later; if unset, one "
-        "period of them for g1stream's own simulator, and 0 otherwise, with the command delay of "
-        "params added",
+        "time by which commands are ahead of the motion, to compensate for their delay; if unset, "
+        "one command period for g1stream's own simulator and 0 otherwise, plus the command delay "
+        "of params",
         "s",
         example=0.002,
         ge=0.0,
@@ -287,8 +287,8 @@ class StreamConfig(Table):
     )
     time_scale: float | None = setting(
         None,
-        "simulated over real time, which velocities are corrected by; measured from the joints if "
-        "unset; 1 on a robot",
+        "ratio of simulated to real time, which corrects velocities; if unset, measured from the "
+        "joints; 1 on a robot",
         example=1.0,
         ge=0.5,
         le=1.05,
@@ -296,7 +296,7 @@ class StreamConfig(Table):
 
     @property
     def period(self) -> int:
-        """Between commands, ns; whole, because deadlines are."""
+        """Time between commands, ns; an integer, because deadlines are integers."""
         return round(1e9 / self.rate)
 
     @property
@@ -308,13 +308,13 @@ class StreamConfig(Table):
 
 
 class RealtimeConfig(Table):
-    """How punctual the loop asks to be; it runs without what the system does not grant."""
+    """Real-time scheduling of the loop; it also runs if the system denies some of these."""
 
-    # The guard process needs one above the loop's, and 99 is the highest.
-    priority: int = setting(50, "SCHED_FIFO priority; 0: an ordinary process", ge=0, le=98)
+    # The guard process needs a priority one above the loop's, and 99 is the highest.
+    priority: int = setting(50, "SCHED_FIFO priority; 0: normal scheduling", ge=0, le=98)
     cpu: int | None = setting(
         None,
-        "the only CPU of the loop; an isolated one, or any, if unset",
+        "the only CPU that the loop runs on; if unset, an isolated CPU, or any if there is none",
         example=3,
         ge=0,
         le=8191,
@@ -322,10 +322,10 @@ class RealtimeConfig(Table):
 
 
 class GainsConfig(Table):
-    """Servo gains over those of Unitree's example, by joint.
+    """Servo gains by joint, which override those of Unitree's example.
 
-    Each table maps a joint name, or a pattern such as "*_knee_joint", to a gain; later entries go
-    over earlier ones, and joints that nothing names keep the example's gain.
+    Each table maps a joint name, or a pattern such as "*_knee_joint", to a gain. Later entries
+    override earlier ones. Joints that match no entry keep the example's gain.
     """
 
     kp: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KP)]] = Field(default_factory=dict)
@@ -333,18 +333,18 @@ class GainsConfig(Table):
 
 
 class ParametersFile(Table):
-    """The parameters of one G1, in a file of their own: `params` names it.
+    """The parameters file of one G1, which the setting `params` names.
 
-    The tables of joints map a joint, a limb or a pattern to a value; later entries go over earlier
-    ones. Those of links map a link of the URDF to what is added to it. What is left out is as in
-    unitree_mujoco's model and in the URDF.
+    The tables of joints map a joint, a limb or a pattern to a value; later entries override earlier
+    ones. The tables of links map a link of the URDF to the value that is added to it. Missing
+    parameters are as in unitree_mujoco's model and in the URDF.
     """
 
     robot: str | None = setting(
         None, "robot that masses and centres of mass are relative to", example="g1_29dof"
     )
     command_delay: float = setting(
-        0.0, "from when a LowCmd is received to when the motors obey it", "s", ge=0.0, le=0.1
+        0.0, "time from receiving a LowCmd until the motors apply it", "s", ge=0.0, le=0.1
     )
     damping: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
         {}, "viscous friction", "N·m·s/rad"
@@ -356,7 +356,7 @@ class ParametersFile(Table):
         {}, "inertia of the rotor, reflected to the joint", "kg·m²"
     )
     torque_scale: dict[str, Annotated[float, Field(ge=0.2, le=2.0)]] = setting(
-        {}, "torque that a motor applies, over the torque that its command asks for"
+        {}, "ratio of the torque that a motor applies to the commanded torque"
     )
     mass: dict[str, Annotated[float, Field(ge=-20.0, le=20.0)]] = setting(
         {}, "added to a link at its centre of mass", "kg"
@@ -374,15 +374,15 @@ class RecordConfig(Table):
 
     channels: ChannelSet = setting(
         "standard",
-        "what is recorded beside samples and log; raw: nothing; standard: what viewers show, at "
-        "record.tf_rate; full: joint states and their errors at every sample",
+        "channels that are recorded beside samples and log; raw: none; standard: for viewers, "
+        "at record.tf_rate; full: also joint states and their errors at every sample",
         flag=(*_RECORD, "demo"),
         advanced=True,
     )
     meshes: bool = setting(
         False,
-        "scenes have the meshes of the URDF or, if it has none, of the real G1, with fewer "
-        "triangles, instead of primitive shapes (extra `meshes`)",
+        "show simplified meshes of the URDF, or of the real G1 if the URDF has none, instead of "
+        "primitive shapes (extra `meshes`)",
         flag=(*_RECORD, "demo"),
         advanced=True,
     )
@@ -393,10 +393,12 @@ class RecordConfig(Table):
         gt=0.0,
         le=2000.0,
     )
-    batch: float = setting(0.05, "received samples are handled this often", "s", gt=0.0, le=0.5)
+    batch: float = setting(
+        0.05, "interval at which received samples are processed", "s", gt=0.0, le=0.5
+    )
     split_size: float | None = setting(
         None,
-        "split the recording into parts of this size (NAME/NAME_0.mcap ...); one file if unset",
+        "split the recording into parts of this size (NAME/NAME_0.mcap ...); if unset, one file",
         "MB",
         flag=_RECORD,
         advanced=True,
@@ -405,7 +407,7 @@ class RecordConfig(Table):
     )
     split_duration: float | None = setting(
         None,
-        "split the recording into parts of this duration; one file if unset",
+        "split the recording into parts of this duration; if unset, one file",
         "s",
         flag=_RECORD,
         advanced=True,
@@ -413,18 +415,18 @@ class RecordConfig(Table):
         gt=0.0,
     )
     auto_name: bool = setting(
-        False, "put the time, UTC, into the file's name", flag=_RECORD, advanced=True
+        False, "add the time (UTC) to the file's name", flag=_RECORD, advanced=True
     )
 
 
 class SimConfig(Table):
-    """How the MuJoCo bridge holds the robot and answers."""
+    """The MuJoCo bridge: support of the robot, rates, delay, noise and pushes."""
 
     support: StreamSupport = setting(
         "bolted",
-        "what holds the pelvis; bolted: the world; hanging: an elastic band at the torso; "
-        "follow: the reference that is streamed; free: nothing, once the motion begins; feet: as "
-        "free, and a demo or rollout keeps the robot on its feet (extra `feet`)",
+        "support of the pelvis; bolted: fixed to the world; hanging: an elastic band at the torso; "
+        "follow: moved along the streamed reference; free: nothing holds it once the motion "
+        "begins; feet: as free, and a demo or rollout balances the robot (extra `feet`)",
         flag=("sim", "demo"),
     )
     self_collision: bool = setting(
@@ -438,15 +440,15 @@ class SimConfig(Table):
     )
     command_timeout: float = setting(
         0.5,
-        "time without a LowCmd after which the motors only damp; 0: never",
+        "time without a LowCmd after which the motors only damp; 0: no timeout",
         "s",
         ge=0.0,
         le=3600.0,
     )
     command_delay: float = setting(
         0.0,
-        "time from when a LowCmd is received to when the motors obey it; above 0.1 s, a stream "
-        "takes it for a queue",
+        "time from receiving a LowCmd until the motors apply it; above 0.1 s, a stream reports "
+        "that commands wait in a queue",
         "s",
         flag=("sim", "demo"),
         advanced=True,
@@ -465,7 +467,7 @@ class SimConfig(Table):
     )
     push: float = setting(
         0.0,
-        "greatest speed that is added to the pelvis along x and along y every 5 s while nothing "
+        "maximum speed that is added to the pelvis along x and along y every 5 s while nothing "
         "holds it, as in the training of policies; 0: no pushes",
         "m/s",
         flag=("sim", "demo"),
@@ -475,7 +477,7 @@ class SimConfig(Table):
     )
     seed: int = setting(
         0,
-        "of the random numbers of sensor noise and pushes",
+        "seed of the random numbers for sensor noise and pushes",
         flag=("sim", "demo"),
         advanced=True,
         ge=0,
@@ -483,7 +485,7 @@ class SimConfig(Table):
     )
     duration: float | None = setting(
         None,
-        "stop after this; when interrupted if unset",
+        "time after which the simulator stops; if unset, it runs until interrupted",
         "s",
         flag=("sim",),
         example=60.0,
@@ -491,8 +493,8 @@ class SimConfig(Table):
     )
     onboard: OnboardMode | None = setting(
         None,
-        "mode of the motion service that is active from the start: a controller of the robot's own "
-        "that holds the pose, until it is released; none if unset",
+        "mode of the motion service that is active at the start: one of the robot's own "
+        "controllers, which holds the pose until it is released; if unset, none",
         flag=("sim",),
         advanced=True,
         example="ai",
@@ -501,19 +503,19 @@ class SimConfig(Table):
 
     @property
     def held_by(self) -> Support:
-        """What holds the pelvis in the simulator."""
+        """The support of the pelvis in the simulator."""
         return "free" if self.support == "feet" else self.support
 
 
 class SafetyConfig(Table):
-    """When to stop; docs/safety.md explains each threshold."""
+    """Thresholds at which a stream stops; docs/safety.md explains each of them."""
 
     position_margin: float = setting(
-        0.0, "how far targets are kept from the joint limits", "rad", ge=0.0, le=0.5
+        0.0, "distance that targets keep from the joint limits", "rad", ge=0.0, le=0.5
     )
     state_timeout: float | None = setting(
         None,
-        "age of the last LowState that stops, and longest stall of the loop; 0.1 s if unset, and "
+        "maximum age of the last LowState and maximum stall of the loop; if unset, 0.1 s, and "
         "0.5 s on the loopback interface, where a simulator shares this machine",
         "s",
         example=0.1,
@@ -521,112 +523,118 @@ class SafetyConfig(Table):
         le=1.0,
     )
     max_crc_errors: int = setting(
-        10, "LowStates with a wrong CRC within a second that do not stop", ge=0, le=1000
+        10, "maximum number of LowStates with a wrong CRC within a second", ge=0, le=1000
     )
     frozen_timeout: float = setting(
         1.0,
-        "time of LowStates with the same tick, or the same content, that stops",
+        "maximum time with the same tick or the same content in every LowState",
         "s",
         gt=0.0,
         le=2.0,
     )
     frozen_motion: float = setting(
         0.01,
-        "how far the targets must have moved while the content is the same: without noise, a "
-        "simulated robot at rest repeats itself; 0 on a robot, whose sensors have noise",
+        "motion of the targets beyond which an unchanged LowState counts as frozen; a simulated "
+        "robot at rest, without noise, repeats its LowState; 0 on a robot, whose sensors have "
+        "noise",
         "rad",
         ge=0.0,
         le=0.5,
     )
     limit_excess: float = setting(
         0.3,
-        "how far a measured joint may be beyond its limits; at most 0.1 rad where the ramp starts",
+        "maximum distance of a measured joint beyond its limits; at most 0.1 rad at the start of "
+        "the ramp",
         "rad",
         ge=0.0,
         le=1.0,
     )
     max_leap: float = setting(
         0.5,
-        "measured step of a joint, beyond what its velocity limit allows, that stops",
+        "maximum measured step of a joint beyond the step that its velocity limit allows",
         "rad",
         gt=0.0,
         le=1.0,
     )
-    max_tilt: float = setting(1.0, "pelvis tilt that stops", "rad", gt=0.0, le=3.2)
+    max_tilt: float = setting(1.0, "maximum pelvis tilt", "rad", gt=0.0, le=3.2)
     max_joint_speed: float = setting(
-        60.0, "measured joint speed that stops", "rad/s", gt=0.0, le=1000.0
+        60.0, "maximum measured joint speed", "rad/s", gt=0.0, le=1000.0
     )
     mode_machine: tuple[int, ...] = setting(
         (0, 5),
-        "robots that may be commanded: 5 is the 29-joint G1, or in its place the kind that `robot` "
-        "is (4 with 23 joints), 0 a simulator that does not say",
+        "values of mode_machine of robots that may be commanded; 5: the 29-joint G1, replaced by "
+        "the value of `robot` if that is another kind (4 with 23 joints); 0: a simulator that does "
+        "not set it",
         min_length=1,
         strict=False,  # TOML and JSON know lists only
     )
     max_tracking_error: float = setting(
         1.0,
-        "distance of a joint from its target, averaged over safety.tracking_time, that stops",
+        "maximum distance of a joint from its target, averaged over safety.tracking_time",
         "rad",
         gt=0.0,
         le=6.3,
     )
     tracking_time: float = setting(
-        2.0, "over which the distance is averaged", "s", ge=0.02, le=10.0
+        2.0, "time over which the distance from the target is averaged", "s", ge=0.02, le=10.0
     )
     jam_time: float = setting(
         4.0,
-        "time in which a joint is looked at to find whether it follows its target",
+        "time window for checking that a joint follows its target",
         "s",
         ge=0.2,
         le=10.0,
     )
     jam_motion: float = setting(
         1.0,
-        "motion of a target within safety.jam_time of which the joint must follow a tenth: a joint "
-        "that does not is jammed, or its motor is off",
+        "motion of a target within safety.jam_time beyond which the joint must move by at least a "
+        "tenth of it; otherwise it is jammed or its motor is off",
         "rad",
         gt=0.0,
         le=6.3,
     )
     max_torque: float = setting(
-        1.5, "measured torque that stops, over the joint's own limit", gt=0.0, le=10.0
+        1.5, "maximum measured torque, as a multiple of the joint's torque limit", gt=0.0, le=10.0
     )
-    torque_time: float = setting(0.5, "time of such a torque that stops", "s", ge=0.0, le=10.0)
+    torque_time: float = setting(
+        0.5, "maximum time with more torque than safety.max_torque", "s", ge=0.0, le=10.0
+    )
     max_casing_temperature: float = setting(
-        85.0, "temperature of a motor's casing that stops", "°C", gt=0.0, le=200.0
+        85.0, "maximum temperature of a motor's casing", "°C", gt=0.0, le=200.0
     )
     max_winding_temperature: float = setting(
-        120.0, "temperature of a motor's winding that stops", "°C", gt=0.0, le=200.0
+        120.0, "maximum temperature of a motor's winding", "°C", gt=0.0, le=200.0
     )
     min_voltage: float = setting(
         40.0,
-        "supply of a motor that stops if lower for 0.5 s; 0 V counts as not measured",
+        "minimum supply voltage of a motor, which stops the stream if lower for 0.5 s; 0 V counts "
+        "as not measured",
         "V",
         ge=0.0,
         le=60.0,
     )
     motor_fault_time: float = setting(
         0.5,
-        "time that a motor may be off (mode 0) or report a fault, once the robot is commanded",
+        "maximum time that a motor may be off (mode 0) or report a fault while the robot is "
+        "commanded",
         "s",
         ge=0.0,
         le=2.0,
     )
     motor_fault_mask: int = setting(
-        0xFFFFFFFF, "bits of a motor's motorstate that are faults", ge=0, le=0xFFFFFFFF
+        0xFFFFFFFF, "bits of a motor's motorstate that count as faults", ge=0, le=0xFFFFFFFF
     )
     max_missed_ticks: float = setting(
-        0.5, "share of the ticks of a second that may be missed", ge=0.0, le=1.0
+        0.5, "maximum share of the ticks of a second that the loop misses", ge=0.0, le=1.0
     )
     stop_buttons: tuple[str, ...] = setting(
         ("L2+B", "select"),
-        "buttons of the robot's remote, each or each combination of which damps and ends",
+        "buttons, or combinations of buttons, of the robot's remote that damp and end the stream",
         strict=False,
     )
     deadman: str | None = setting(
         None,
-        "button of the robot's remote that has to be held: the robot moves only meanwhile, and is "
-        "damped when it is released",
+        "button of the robot's remote that must be held for the robot to move; releasing it damps",
         flag=PLAY_FLAG,
         advanced=True,
         metavar="BUTTON",
@@ -634,23 +642,23 @@ class SafetyConfig(Table):
     )
     guard: bool = setting(
         True,
-        "a guard process damps where the stream is killed, stopped or hangs; false is refused but "
-        "on the loopback interface",
+        "start a guard process, which damps if the stream is killed, stopped or hangs; false is "
+        "accepted on the loopback interface only",
     )
     require_record: bool = setting(
         False, "damp and end when the recording fails", flag=PLAY_FLAG, advanced=True
     )
     urdf_limits: bool = setting(
         False,
-        "take a URDF's joint limits as they are, also where they are wider than those of the "
-        "robots in this package; dangerous",
+        "use a URDF's joint limits even where they are wider than those of the robots in this "
+        "package; dangerous",
         flag=(*PLAY_FLAG, "motion", "physics"),
         advanced=True,
     )
     allow_second_writer: bool = setting(
         False,
-        "play although another publisher is on rt/lowcmd, or with stream.via = arm_sdk on "
-        "rt/arm_sdk; dangerous",
+        "play even if there is another publisher on rt/lowcmd, or on rt/arm_sdk with stream.via = "
+        "arm_sdk; dangerous",
         flag=PLAY_FLAG,
         advanced=True,
     )
@@ -667,7 +675,7 @@ class Config(Table):
         None,
         "the robot: g1_29dof_rev_1_0, g1_29dof (which unitree_mujoco simulates), g1_23dof, "
         "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0, and for "
-        "feed-forward the one of the first two that fits better",
+        "feed-forward whichever of the first two fits better",
         flag=ROBOT_FLAG,
         metavar="NAME_OR_URDF",
         example="g1_29dof",
@@ -675,8 +683,8 @@ class Config(Table):
     )
     params: Path | None = setting(
         None,
-        "file of parameters of the robot, as `g1stream fit` writes it: friction, armature, delay, "
-        "torque and masses, for the simulator and for the torque of the feed-forward",
+        "parameters file of the robot, as written by `g1stream fit`: friction, armature, delay, "
+        "torque scale and masses, for the simulator and the feed-forward torque",
         flag=_PARAMS,
         advanced=True,
         example="g1.toml",
@@ -700,7 +708,7 @@ class Config(Table):
 
 
 def settings() -> dict[str, FieldInfo]:
-    """Every setting by its name in a TOML file, such as `stream.rate`; a table of gains is one."""
+    """All settings by their names in a TOML file, such as `stream.rate` or `gains.kp`."""
     found: dict[str, FieldInfo] = {}
     for name, field in Config.model_fields.items():
         table = field.annotation
@@ -712,26 +720,26 @@ def settings() -> dict[str, FieldInfo]:
 
 
 def load_config(path: Path | str | None = None, over: Mapping[str, Any] | None = None) -> Config:
-    """Read a TOML file and put other values over it.
+    """Read the settings from a TOML file, with other values overriding it.
 
     Args:
-        path: the TOML file, or the name of one that comes with the package: robot, sim; defaults
-            alone when None.
-        over: values that go over the file's, keyed like `stream.rate`; None values do not count,
-            and tables, such as `gains.kp`, are put over the file's entry by entry.
+        path: the TOML file, or the name of one in the package: robot, sim; None: only defaults.
+        over: values that override the file's, keyed like `stream.rate`. None values are ignored.
+            Tables, such as `gains.kp`, override the file's entry by entry.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML, or a value does not fit; names it.
+        ConfigError: the file cannot be read or is not TOML, or a value is invalid; the error names
+            it.
     """
     values = read_toml(_found(path)) if path else {}
     given = {key: value for key, value in (over or {}).items() if value is not None}
     for key, value in given.items():
         table, _, name = key.rpartition(".")
         below = values.setdefault(table, {}) if table else values
-        if isinstance(below, dict):  # otherwise the file is at fault, which is reported below
+        if isinstance(below, dict):  # otherwise the file is invalid, which is reported below
             entries = below.get(name)
             if isinstance(value, dict) and isinstance(entries, dict):
-                # In the order in which they count: what goes over comes last.
+                # Later entries override earlier ones.
                 kept = {k: v for k, v in entries.items() if k not in value}
                 below[name] = kept | value
             else:
@@ -746,16 +754,16 @@ def load_config(path: Path | str | None = None, over: Mapping[str, Any] | None =
 
 
 def _found(path: Path | str) -> Path:
-    """A path as it is given, or the shipped file of that name where there is no such file."""
+    """The path itself, or the shipped file of that name if the path is not a file."""
     shipped = SHIPPED / f"{path}.toml"
     return shipped if shipped.is_file() and not Path(path).is_file() else Path(path)
 
 
 def read_toml(path: Path, what: str = "config") -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Raises:
-        ConfigError: it cannot be read, or is not TOML; calls it `what`.
+        ConfigError: it cannot be read or is not TOML; the error calls the file `what`.
     """
     try:
         values: dict[str, Any] = tomllib.loads(read_file(path, SETTINGS_FILE).decode("utf-8"))
@@ -779,16 +787,19 @@ TableT = TypeVar("TableT", bound=Table)
 def read_table(
     kind: type[TableT], path: Path, what: str, remedy: str
 ) -> tuple[TableT, dict[str, Any]]:
-    """A TOML file with the settings of one table, and its tables as they are.
+    """Read a TOML file with the settings of one table.
 
     Args:
         kind: the table.
-        path: of the file.
-        what: it is called in errors.
-        remedy: for a value that does not fit.
+        path: path of the file.
+        what: what errors call the file.
+        remedy: remedy in the error for an invalid value.
+
+    Returns:
+        The settings, and the tables as they are in the file.
 
     Raises:
-        ConfigError: it cannot be read, or a value does not fit.
+        ConfigError: the file cannot be read, or a value is invalid.
     """
     tables = read_toml(path, what)
     try:
@@ -821,7 +832,7 @@ def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:
 
 
 def accepted(field: FieldInfo) -> str:
-    """The values that a setting accepts, such as `10 to 2000`; empty where any of its type."""
+    """The values that a setting accepts, such as `10 to 2000`; empty for any value of its type."""
     for kind in (field.annotation, *get_args(field.annotation)):
         if get_origin(kind) is Literal:
             *others, last = get_args(kind)

@@ -1,4 +1,4 @@
-"""Every error a user can cause, in one tree.
+"""Errors that a user can cause, in one class hierarchy.
 
     G1StreamError
     ├── ConfigError      a flag, a config file, a gains file, or an extra that is absent
@@ -9,11 +9,10 @@
     ├── SimError         the MuJoCo bridge
     └── RecordingError   a session file, read or written
 
-Each says what is wrong in one sentence and what to do in another. The command line prints the two
-and exits with code 2; a traceback therefore always means a bug of ours.
+Each error has one sentence for the cause and one for the remedy. The command line prints both and
+exits with code 2, so a traceback always means a bug in g1stream.
 
-Both may quote a file or a peer on DDS, and are shown on a terminal, so that what a terminal would
-obey is escaped.
+Both may quote a file or a peer on DDS, so control characters in them are escaped.
 """
 
 from g1stream.text import printable
@@ -31,11 +30,11 @@ __all__ = [
 
 
 class G1StreamError(Exception):
-    """An error with one sentence of cause and one of remedy.
+    """An error with a cause and a remedy, one sentence each.
 
     Args:
-        cause: what is wrong, naming the offender (file, line, joint, topic).
-        remedy: what to do about it, naming the valid choices where there are some.
+        cause: what is wrong, with the name of the file, line, joint or topic.
+        remedy: what to do about it, with the valid choices if there are any.
     """
 
     def __init__(self, cause: str, remedy: str) -> None:
@@ -57,7 +56,7 @@ class MotionError(G1StreamError):
 
 
 class WireError(G1StreamError):
-    """DDS cannot be set up, or no peer was found or matched."""
+    """DDS that cannot be set up, or a peer that was not found or matched."""
 
 
 class SafetyError(G1StreamError):
@@ -65,7 +64,7 @@ class SafetyError(G1StreamError):
 
 
 class SimError(G1StreamError):
-    """The MuJoCo bridge cannot run as asked."""
+    """A MuJoCo bridge that cannot run as requested."""
 
 
 class RecordingError(G1StreamError):

@@ -1,7 +1,7 @@
-"""Events of a run: standard logging below the logger `g1stream`, handled off the caller's thread.
+"""Event logging: records of the logger `g1stream`, handled in a separate thread.
 
-Code that has something to report calls `logging.getLogger(__name__)`. A program decides where the
-records go: to DDS, into the session file, onto the terminal.
+Code reports events with `logging.getLogger(__name__)`. Each program decides where the records go:
+to DDS, into the session file or to the terminal.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ __all__ = [
 ]
 
 GUARD: Final = "guard"
-"""The guard process logs under this name, and only when it damps."""
+"""Logger name of the guard process, which logs only when it damps."""
 
 LOWCMD_TIMEOUT: Final = "LowCmd timeout"
-"""What a simulator logs when commands stop coming begins with this."""
+"""First words of a simulator's log message when it receives no more commands."""
 
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())
@@ -44,33 +44,33 @@ _HANDLING_TIMEOUT_S: Final = 2.0
 
 
 class _Listener(QueueListener):
-    """Hands records to handlers, each of which may fail without harm to the others."""
+    """Passes records to handlers; a handler that fails does not affect the others."""
 
     def handle(self, record: logging.LogRecord) -> None:
         for handler in self.handlers:
             if record.levelno >= handler.level:
                 try:
                     handler.handle(record)
-                except Exception:  # what cannot be shown must not end what runs
+                except Exception:  # a record that cannot be shown must not end the program
                     handler.handleError(record)
 
 
 @contextmanager
 def handled_by(*handlers: logging.Handler) -> Iterator[None]:
-    """Pass events to handlers in a thread of its own, for the length of a `with`.
+    """Context manager that passes events to handlers in a separate thread.
 
-    The thread that logs only puts the record into a queue, so that a slow disk or terminal cannot
-    block a real-time loop. Handlers of the root logger and of `g1stream` get the records the same
-    way. At the end every record has been handled, unless a handler blocks for more than 2 s.
+    The logging thread only puts the record into a queue, so a slow disk or terminal cannot block a
+    real-time loop. Handlers of the root logger and of `g1stream` receive the records the same way.
+    At the end every record has been handled, unless a handler blocks for more than 2 s.
 
     Args:
-        handlers: each gets the records of its level and above.
+        handlers: each receives the records of its level and above.
     """
     records: SimpleQueue[logging.LogRecord] = SimpleQueue()
     queue = QueueHandler(records)
     with _LOCK:
         before, propagate = _LOGGER.handlers[:], _LOGGER.propagate
-        # Within another `with` there is only its queue, which goes on getting the records.
+        # In a nested context, the queue of the outer one still receives the records.
         direct = [one for one in before if not isinstance(one, QueueHandler)]
         root = logging.getLogger().handlers if propagate else []
         listener = _Listener(records, *handlers, *direct, *root, respect_handler_level=True)
@@ -92,21 +92,20 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
 
 
 QUIET: Final = "G1STREAM_QUIET"
-"""The environment variable that keeps all but warnings and errors off the terminal, also in child
-processes."""
+"""Environment variable that limits the terminal to warnings and errors, also in child processes."""
 
 
 def is_quiet() -> bool:
-    """Whether only warnings and errors are to be printed."""
+    """Return whether only warnings and errors are printed."""
     return bool(os.environ.get(QUIET))
 
 
 class ConsoleHandler(logging.Handler):
-    """Prints events on standard error, a line each.
+    """Prints events on standard error, one line each.
 
     Args:
-        level: events of this level and above; if `is_quiet`, warnings at least.
-        program: printed before each, where several programs share a terminal.
+        level: minimum level of the events; at least warnings if `is_quiet`.
+        program: prefix of each line, for several programs that share a terminal.
     """
 
     def __init__(self, level: int = logging.INFO, program: str = "") -> None:
@@ -116,11 +115,11 @@ class ConsoleHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print an event."""
         severity = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
-        with suppress(OSError, ValueError):  # a closed terminal must not end what it only shows
+        with suppress(OSError, ValueError):  # a closed terminal must not end the program
             sys.stderr.write(f"{self._prefix}{severity}{printable(record.getMessage())}\n")
             sys.stderr.flush()
 
 
 def severity(record: logging.LogRecord) -> int:
-    """A record's level as foxglove.Log and the Log on the wire number it: 1 debug to 5 fatal."""
+    """The level of a record as in foxglove.Log and the Log message on DDS: 1 debug to 5 fatal."""
     return min(max(record.levelno // 10, 1), 5)

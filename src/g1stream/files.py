@@ -1,4 +1,4 @@
-"""Files: input of bounded size, path checks, output that gets its name when it is complete."""
+"""Files: reading with a size limit, path checks, and output that is renamed when complete."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ _MCAP: Final = b"\x89MCAP"
 
 
 def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
-    """The content of a file.
+    """Read a file of limited size.
 
     Args:
-        path: of a regular file: reading a pipe or a device may block, or never end.
-        most: bytes that it may have.
+        path: path of a regular file; reading a pipe or a device may block, or never end.
+        most: maximum size, bytes.
 
     Raises:
-        OSError: it is larger or not a regular file, or cannot be read; `strerror` says why.
+        OSError: the file is larger, not a regular file, or cannot be read; `strerror` says which.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -58,7 +58,7 @@ def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not stat.S_ISREG(about.st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file")
-        # Files in /proc have the size 0 and a content.
+        # Files in /proc have size 0 but are not empty.
         content = file.read(min(about.st_size or SMALL_FILE, most) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it has more than {most / 2**20:g} MiB")
@@ -66,9 +66,9 @@ def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
 
 
 def is_session(path: Path) -> bool:
-    """Whether a path is that of a session: an MCAP file, or a directory with metadata.yaml.
+    """Return whether a path is a session: an MCAP file, or a directory with metadata.yaml.
 
-    False where neither can be read.
+    False if it cannot be read.
     """
     try:
         return (path / "metadata.yaml").is_file() or begins_with(path, _MCAP)
@@ -77,9 +77,9 @@ def is_session(path: Path) -> bool:
 
 
 def begins_with(path: Path, start: bytes) -> bool:
-    """Whether a file begins with some bytes; False if it cannot be read."""
+    """Return whether a file begins with the bytes `start`; False if it cannot be read."""
     try:
-        # Only regular files are opened: bytes read from a pipe are gone.
+        # Only regular files are opened, because bytes that are read from a pipe are lost.
         if not path.is_file():
             return False
         with path.open("rb") as file:
@@ -89,10 +89,10 @@ def begins_with(path: Path, start: bytes) -> bool:
 
 
 def timestamped(path: Path, now_ns: int) -> Path:
-    """The path with a time, UTC, in its name: `session-20260301T120000Z.mcap`.
+    """Add a UTC time to the name of a path, as in `session-20260301T120000Z.mcap`.
 
     Args:
-        path: of the file.
+        path: path of the file.
         now_ns: the time, ns since the epoch.
     """
     now = datetime.fromtimestamp(now_ns // 1_000_000_000, timezone.utc)
@@ -100,10 +100,10 @@ def timestamped(path: Path, now_ns: int) -> Path:
 
 
 def check_not_input(path: Path, *sources: Path | None) -> None:
-    """Check that an output path is none of the input files.
+    """Check that an output path is not one of the input files.
 
     Raises:
-        RecordingError: it is.
+        RecordingError: the output path is an input file.
     """
     for source in sources:
         with suppress(OSError):  # one of them does not exist, or cannot be accessed
@@ -115,32 +115,33 @@ def check_not_input(path: Path, *sources: Path | None) -> None:
 
 
 def check_suffix(path: Path, kind: str, *suffixes: str) -> None:
-    """Check that an output path ends as files of a kind do.
+    """Check that an output path has one of the suffixes of its file type.
 
     Args:
-        path: of the file.
-        kind: such as "a figure".
-        suffixes: in lower case, with their dots.
+        path: path of the file.
+        kind: name of the file type in the error, such as "a figure".
+        suffixes: valid suffixes, in lower case, with their dots.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: the path has another suffix.
     """
     if path.suffix.lower() not in suffixes:
         raise ConfigError(
-            f"{path} is not the name of {kind}.", f"Use one that ends in {', '.join(suffixes)}."
+            f"{path} is not the name of {kind}.",
+            f"Use a name that ends in {', '.join(suffixes)}.",
         )
 
 
 def check_output_path(path: Path, *, force: bool) -> None:
-    """Check that a file can be written to a path, without touching anything.
+    """Check that a file can be written to a path, without changing anything.
 
     Args:
-        path: of the file.
+        path: path of the file.
         force: whether an existing file may be replaced.
 
     Raises:
-        RecordingError: the directory is missing or not writable, or the path is taken: by a file
-            without `force`, or by something that is not a regular file, such as a symbolic link.
+        RecordingError: the directory is missing or not writable, the file exists and `force` is
+            False, or the path is not a regular file, such as a symbolic link.
     """
     with output_errors(path):
         check_directory(path.parent)
@@ -151,12 +152,14 @@ def check_output_path(path: Path, *, force: bool) -> None:
         if stat.S_ISLNK(mode):
             raise RecordingError(
                 f"{path} is a symbolic link to {path.readlink()}.",
-                "Name the file that it leads to, or remove the link.",
+                "Use the path of the target file, or remove the link.",
             )
         if stat.S_ISDIR(mode):
             raise IsADirectoryError
         if not stat.S_ISREG(mode):
-            raise RecordingError(f"{path} is not a file.", "Name a file, such as session.mcap.")
+            raise RecordingError(
+                f"{path} is not a regular file.", "Use the path of a file, such as session.mcap."
+            )
         if not force:
             raise FileExistsError
         if not os.access(path, os.W_OK):
@@ -167,7 +170,7 @@ def check_directory(directory: Path) -> None:
     """Check that files can be created in a directory.
 
     Raises:
-        OSError: it is missing, not a directory, or not writable.
+        OSError: the directory is missing, not a directory, or not writable.
     """
     if not stat.S_ISDIR(directory.stat().st_mode):
         raise NotADirectoryError(errno.ENOTDIR, f"{directory} is not a directory")
@@ -176,18 +179,18 @@ def check_directory(directory: Path) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """Where a file is written until it replaces the one at `path`."""
+    """Temporary path at which a file is written before it replaces `path`."""
     return path.with_name(f".{path.name}.{os.getpid()}.part")
 
 
 @contextmanager
 def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
-    """Write a file under a temporary name beside its own, and rename it when it is complete.
+    """Write a file under a temporary name in the same directory, and rename it when complete.
 
-    On any exception, Ctrl-C included, the temporary file is removed and `path` stays as it was.
+    On any exception, including Ctrl-C, the temporary file is removed and `path` is unchanged.
 
     Args:
-        path: of the file.
+        path: path of the file.
         force: whether an existing file may be replaced.
 
     Yields:
@@ -200,7 +203,7 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
     temporary = temporary_path(path)
     try:
         with output_errors(path):
-            temporary.unlink(missing_ok=True)  # left by a killed process with the same id
+            temporary.unlink(missing_ok=True)  # of a killed process with the same id
             yield temporary
             check_output_path(path, force=force)
             temporary.replace(path)
@@ -210,24 +213,26 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def complete_directory(path: Path, names: Collection[str], *, force: bool) -> Iterator[Path]:
-    """Write a directory of files under a temporary name, and rename it when it is complete.
+    """Write a directory of files under a temporary name, and rename it when complete.
 
-    On any exception, Ctrl-C included, the temporary directory is removed and `path` stays as it
-    was, or what was there is beside it with the suffix `.old`.
+    On any exception, including Ctrl-C, the temporary directory is removed. `path` is unchanged, or
+    its old content is beside it with the suffix `.old`.
 
     Args:
-        path: of the directory.
-        names: of the files that it may have; one with others is not replaced.
+        path: path of the directory.
+        names: names of the files that it may have; a directory with others is not replaced.
         force: whether an existing directory may be replaced.
 
     Yields:
-        The temporary path, of an empty directory.
+        The path of an empty temporary directory.
 
     Raises:
-        RecordingError: the path is taken, or cannot be written.
+        RecordingError: the path exists already, or cannot be written.
     """
     if not path.name or path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise RecordingError(f"{path} is no directory to be made.", "Name a new one in it.")
+        raise RecordingError(
+            f"{path} cannot be created as a directory.", "Use the path of a new directory."
+        )
     with output_errors(path):
         check_directory(path.parent)
         if path.exists():
@@ -235,13 +240,13 @@ def complete_directory(path: Path, names: Collection[str], *, force: bool) -> It
                 raise FileExistsError
             if others := sorted({one.name for one in path.iterdir()} - set(names)):
                 raise RecordingError(
-                    f"{path} is not replaced, as it has other files: {others[0]}.",
-                    "Choose another path, or move these away.",
+                    f"{path} is not replaced, because it contains other files: {others[0]}.",
+                    "Choose another path, or move these files away.",
                 )
     temporary, old = temporary_path(path), path.with_name(f".{path.name}.{os.getpid()}.old")
     try:
         with output_errors(path):
-            shutil.rmtree(temporary, ignore_errors=True)  # left by a killed process, same id
+            shutil.rmtree(temporary, ignore_errors=True)  # of a killed process with the same id
             temporary.mkdir()
             yield temporary
             if path.exists():
@@ -253,11 +258,11 @@ def complete_directory(path: Path, names: Collection[str], *, force: bool) -> It
 
 
 def save_figure(draw: Callable[[], Figure], path: Path, *, force: bool) -> None:
-    """Write a figure, which is drawn once the path has been checked.
+    """Write a figure to a file; it is drawn after the path has been checked.
 
     Raises:
         ConfigError: the path ends neither in .png nor in .svg nor in .pdf.
-        RecordingError: it cannot be written.
+        RecordingError: the file cannot be written.
     """
     check_suffix(path, "a figure", ".png", ".svg", ".pdf")
     with complete_file(path, force=force) as temporary:
@@ -266,21 +271,21 @@ def save_figure(draw: Callable[[], Figure], path: Path, *, force: bool) -> None:
 
 @contextmanager
 def output_errors(path: Path) -> Iterator[None]:
-    """Turn an OSError while writing a path into a RecordingError with its remedy."""
+    """Convert an OSError while writing a path into a RecordingError with a remedy."""
     try:
         yield
     except IsADirectoryError as error:
         raise RecordingError(
-            f"{path} is a directory.", "Name a file in it, such as session.mcap."
+            f"{path} is a directory.", "Use the path of a file in it, such as session.mcap."
         ) from error
     except FileExistsError as error:
         raise RecordingError(
-            f"{path} exists already.", "Choose another path, or give --force to replace it."
+            f"{path} exists already.", "Choose another path, or replace it with --force."
         ) from error
     except FileNotFoundError as error:
-        if path.parent.is_dir():  # such as /proc, which takes no files
+        if path.parent.is_dir():  # such as /proc, in which no files can be created
             raise RecordingError(
-                f"{path.parent} takes no new files.", "Choose another directory."
+                f"No files can be created in {path.parent}.", "Choose another directory."
             ) from error
         raise RecordingError(
             f"The directory {path.parent} does not exist.", f"Create it: mkdir -p {path.parent}"
@@ -288,5 +293,5 @@ def output_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         raise RecordingError(
             f"{path} cannot be written: {error.strerror or error}.",
-            "Free disk space, or choose another place.",
+            "Free disk space, or choose another directory.",
         ) from error

@@ -1,6 +1,6 @@
-"""What a file, which may come from anywhere, can make us read, unpack, compute or print.
+"""Limits on input from untrusted files: how much is read, unpacked, computed or printed.
 
-All are far above what motions, robots and sessions have.
+All limits are far above the sizes of real motions, robots and sessions.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ __all__ = [
 ]
 
 NUMBER: Final = 1e9
-"""Of any unit: squares and products of larger numbers overflow."""
+"""Largest number, in any unit; squares and products of larger numbers overflow."""
 LATEST_NS: Final = 2**62
-"""Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers."""
+"""Latest time, ns since the epoch (in 2116), so that the sum of two times fits into 64 bits."""
 
 SETTINGS_FILE: Final = 2**20
-"""Bytes of a TOML file or metadata.yaml: their parsers, in Python, take seconds for these."""
+"""Bytes of a TOML file or metadata.yaml; their Python parsers take seconds for this size."""
 SMALL_FILE: Final = 16 * 2**20
-"""Bytes of a URDF, a correction, or any other file that is read whole and has no limit here."""
+"""Bytes of a URDF, a correction, or any other file that is read whole and has no other limit."""
 MOTION_FILE: Final = 2**30
-"""Bytes: an hour at 500 Hz."""
+"""Bytes of a motion file; enough for an hour at 500 Hz."""
 CSV_LINE: Final = 2**16
-"""Bytes of a line of a CSV file: a motion has some 40 numbers in each."""
+"""Bytes of a line of a CSV file; a line of a motion has about 40 numbers."""
 MESHES: Final = 256 * 2**20
-"""Bytes of a mesh, and of all in a scene as often as they occur: a URDF may repeat one."""
+"""Bytes of a mesh, and of all meshes in a scene, where a repeated mesh counts each time."""
 UNPACKED: Final = 512 * 2**20
-"""Bytes of what one archive, pickle, record, chunk or topic holds: a few packed bytes, or a number
-in a header, can claim more than any memory has."""
+"""Unpacked bytes of an archive, pickle, record, chunk or topic; a few packed bytes, or a number in
+a header, can claim more than the memory holds."""
 SESSION_RATIO: Final = 100
-"""Bytes that the chunks of a session unpack to, for each of its file and beyond `UNPACKED`: samples
-compress to a fifth."""
+"""Ratio of unpacked chunks to the size of a session file, beyond `UNPACKED`; samples compress to a
+fifth of their size."""
 
 PICKLE_VALUES: Final = 5_000_000
-"""Numbers, texts and containers outside of arrays: lists can refer to a list many times over."""
+"""Numbers, texts and containers of a pickle outside arrays; lists can contain a list repeatedly."""
 URDF_LINKS: Final = 1000
-"""Links, and joints: a G1 with hands has 60, and every one costs work at each step."""
+"""Links, and joints, of a URDF; a G1 with hands has 60, and each costs computation per step."""
 FRAMES: Final = 500_000
-"""Frames that a recording is sampled at: two samples can be a century apart."""
+"""Frames at which a recording is sampled; two samples can be a century apart."""
 TEXT: Final = 2000
-"""Characters of a value or a sentence that are printed."""
+"""Printed characters of a value or a sentence."""

@@ -1,4 +1,4 @@
-"""What may not be installed: the packages of the extras, and the extras' own programs."""
+"""Optional parts: the packages that extras need, and functions of the extras."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ EXTENSIONS: Final = {
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
     "render": "g1stream.extras.video.render:render",
 }
-"""Functions of extras that the core calls: module and name."""
+"""Functions of extras that the core calls, as `module:name`."""
 
 
 def extension(name: str) -> Any:
-    """A function of an extra.
+    """Load a function of an extra.
 
     Args:
-        name: in `EXTENSIONS`.
+        name: key in `EXTENSIONS`.
 
     Raises:
         ConfigError: a package that the extra needs is not installed.
@@ -40,7 +40,7 @@ def extension(name: str) -> Any:
 
 
 def load_object(where: str) -> Any:
-    """What is in a module: `module:name`.
+    """Load an object from a module, given as `module:name`.
 
     Raises:
         ConfigError: a package that the extra needs is not installed.
@@ -59,12 +59,12 @@ def import_extra(package: str, extra: str, purpose: str) -> Any:
     """Import a package of an extra.
 
     Args:
-        package: its name for `import`.
-        extra: that it belongs to.
-        purpose: what needs it, with the verb, such as `Tables need`.
+        package: name of the package for `import`.
+        extra: extra that the package belongs to.
+        purpose: beginning of the error's sentence, such as `Tables need`.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: the package is not installed.
     """
     try:
         return import_module(package)
@@ -73,15 +73,15 @@ def import_extra(package: str, extra: str, purpose: str) -> Any:
 
 
 def require_installed(package: str, extra: str, purpose: str) -> None:
-    """Check for a package that another process shall import, without loading it into this one.
+    """Check that a package which another process imports is installed, without importing it.
 
     Args:
-        package: its name for `pip`.
-        extra: that it belongs to.
+        package: name of the package for `pip`.
+        extra: extra that the package belongs to.
         purpose: as of `import_extra`.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: the package is not installed.
     """
     try:
         version(package)
@@ -90,7 +90,7 @@ def require_installed(package: str, extra: str, purpose: str) -> None:
 
 
 def not_installed(package: str, extra: str, purpose: str) -> ConfigError:
-    """What to raise where a package of an extra is absent; arguments as of `import_extra`."""
+    """The error for a missing package of an extra; arguments as of `import_extra`."""
     return ConfigError(
         f"{purpose} {package.replace('_', '-')}, which is not installed.",
         f"Install the extra: pip install 'g1stream[{extra}]'.",

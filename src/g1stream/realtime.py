@@ -1,7 +1,7 @@
-"""Scheduling of a thread: priority or time slice, locked memory, timer slack, CPU affinity.
+"""Real-time scheduling of a thread: priority, time slice, locked memory, timer slack, CPU affinity.
 
-Everything works without them, with more jitter. What needs a permission is requested, and reported
-as granted or with the way to get it.
+Everything works without them, with more jitter. Each request is reported as granted, or with the
+way to get the permission.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ __all__ = [
 
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4  # <sys/mman.h>
-#: Of `sched_setattr` and `sched_getattr`, <asm/unistd.h>.
+#: Numbers of `sched_setattr` and `sched_getattr`, <asm/unistd.h>.
 _SYSCALLS = {"x86_64": (314, 315), "aarch64": (274, 275)}
 _RESET_ON_FORK = 1  # <linux/sched.h>
 #: The shortest time slice that Linux gives, ns. A thread with a short slice soon gets a CPU.
 _SLICE = 100_000
 _BACKGROUND_NICE = 5
-#: Cyclone 0.10 and 11 name their threads so.
+#: Names of the threads of Cyclone 0.10 and 11.
 _OF_CYCLONE = re.compile(r"recv(UC|MC)?|tev|gc|lease|(dq|tev|xmit)\..*")
-#: Other threads hold the GIL, while they draw or write a file, for at most this long, s.
+#: Maximum time for which another thread holds the GIL, for example while it writes a file, s.
 _SWITCH_INTERVAL = 1e-4
 
 
@@ -49,23 +49,23 @@ class Grant:
 
     what: str
     granted: bool
-    detail: str  # the setting now, or why it was not granted
-    cost: str = ""  # the effect of not having it
-    remedy: str = ""  # how to get it, on one line
+    detail: str  # the setting in force, or why the request was not granted
+    cost: str = ""  # effect of a request that was not granted
+    remedy: str = ""  # how to get the permission, on one line
 
 
 @contextmanager
 def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
-    """Give the calling thread the lowest latency that the system allows, during a `with`.
+    """Context manager that gives the calling thread the lowest latency that the system allows.
 
-    Requests SCHED_FIFO, or without it a short time slice, locked memory, timers without slack and
-    an isolated CPU if there is one, disables Python's garbage collector, and gets the GIL within
-    0.1 ms. Existing threads of DDS get the next lower priority, or the same time slice. Threads and
-    processes that are started inside do not inherit the priority.
+    It requests SCHED_FIFO, or a short time slice if that is denied, locked memory, timers without
+    slack, and an isolated CPU if there is one. It disables Python's garbage collector and limits
+    the wait for the GIL to 0.1 ms. Existing DDS threads get the next lower priority, or the same
+    time slice. Threads and processes that are started inside do not inherit the priority.
 
     Args:
-        priority: of SCHED_FIFO, 1 to 99; 0: normal scheduling.
-        cpu: the only CPU to run on; by default an isolated one, or any.
+        priority: SCHED_FIFO priority, 1 to 99; 0: normal scheduling.
+        cpu: the only CPU to run on; None: an isolated CPU, or any if there is none.
 
     Yields:
         The result of each request.
@@ -85,7 +85,7 @@ def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
 
 @contextmanager
 def _quick_thread_switches() -> Iterator[None]:
-    """Switch threads after 0.1 ms, and not after CPython's 5 ms, during a `with`."""
+    """Context manager that switches threads after 0.1 ms, instead of CPython's 5 ms."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(_SWITCH_INTERVAL, before))
     try:
@@ -112,7 +112,7 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
             _ask_for_cpu(cpu),
         ]
     finally:
-        # The flag does no harm, and clearing it needs a permission that the user may not have.
+        # The flag is harmless, and clearing it needs a permission that the user may not have.
         for thread in (0, *helpers):
             with suppress(ProcessLookupError):  # it has ended meanwhile
                 os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, parameters)
@@ -123,19 +123,19 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
 
 
 def lower_priority() -> None:
-    """Let the calling process yield to real-time loops."""
+    """Lower the priority of the calling process, so that it yields to real-time loops."""
     os.nice(_BACKGROUND_NICE)
 
 
 def allow_all_cpus(thread: int = 0) -> None:
-    """Let a thread, the calling one by default, run on any CPU, whatever its parent process may."""
+    """Let a thread, by default the calling one, run on all CPUs, independent of its parent."""
     if sys.platform == "linux":
         with suppress(OSError):  # a container may allow none of the others
             os.sched_setaffinity(thread, range(os.cpu_count() or 1))
 
 
 def describe(grants: list[Grant]) -> str:
-    """The results on one line."""
+    """The results of the requests on one line."""
     return ", ".join(f"{g.what} {g.detail if g.granted else 'not granted'}" for g in grants)
 
 
@@ -155,7 +155,7 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
             what,
             f"no permission for priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
             "other processes can delay a command by milliseconds",
-            f"rtprio {priority + 1}",  # the guard process asks for one more than the loop
+            f"rtprio {priority + 1}",  # the guard process requests one more than the loop
         )
     return Grant(what, granted=True, detail=f"priority {priority}")
 
@@ -176,7 +176,7 @@ class _Scheduling(ctypes.Structure):
 
 
 def _ask_for_short_slice(helpers: list[int]) -> Grant:
-    """Ask for what needs no permission and lets a thread get a CPU before those that compute."""
+    """Request a short time slice, which gets a CPU before long ones and needs no permission."""
     for thread in helpers:
         _set_slice(thread, _SLICE)
     if not _set_slice(0, _SLICE):
@@ -190,7 +190,7 @@ def _ask_for_short_slice(helpers: list[int]) -> Grant:
 
 
 def _set_slice(thread: int, runtime: int) -> bool:
-    """Set the time slice of a thread, ns; 0: the system's. Returns whether it is set."""
+    """Set the time slice of a thread, ns; 0: the system's default. Return whether it is set."""
     set_attributes, get_attributes = _SYSCALLS.get(platform.machine(), (0, 0))
     if not set_attributes:
         return False
@@ -203,9 +203,9 @@ def _set_slice(thread: int, runtime: int) -> bool:
 
 
 def _threads_of_dds() -> list[int]:
-    """Cyclone's threads in this process, by the names that it gives them.
+    """Ids of Cyclone's threads in this process, found by their names.
 
-    The loop depends on what they receive, and at times on a lock that one of them holds.
+    The loop depends on the messages that they receive, and sometimes on a lock that one holds.
     """
     ours, found = {thread.native_id for thread in threading.enumerate()}, []
     for task in Path("/proc/self/task").iterdir():
@@ -218,8 +218,8 @@ def _threads_of_dds() -> list[int]:
 
 def _ask_for_memory() -> Grant:
     what = "memory"
-    # Only current pages: with a limit on locked memory, MCL_FUTURE would make a later allocation
-    # fail.
+    # Only current pages, because with a limit on locked memory, MCL_FUTURE would make a later
+    # allocation fail.
     if _libc().mlockall(_MCL_CURRENT | _MCL_ONFAULT):
         return _denied(
             what,
@@ -253,7 +253,7 @@ def _ask_for_cpu(cpu: int | None) -> Grant:
 
 
 def _isolated_cpus() -> set[int]:
-    """CPUs that the kernel keeps free of other work (isolcpus)."""
+    """CPUs that the kernel isolates from other threads (isolcpus)."""
     try:
         listed = Path("/sys/devices/system/cpu/isolated").read_text().strip()
     except OSError:
@@ -278,13 +278,13 @@ def _listed(cpus: set[int]) -> str:
 
 
 def _denied(what: str, detail: str, cost: str, limit: str) -> Grant:
-    """A request for which the user needs a line in limits.conf(5)."""
+    """The result of a denied request that needs a line in limits.conf(5)."""
     import getpass
 
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # one without a name, as in containers
+    except (KeyError, OSError):  # a user without a name, as in containers
         user = f":{os.getuid()}"
     line, file = f"'{user} - {limit}'", "/etc/security/limits.d/g1stream.conf"
-    remedy = f"Put the line {line} into {file} and log in again."
+    remedy = f"Add the line {line} to {file} and log in again."
     return Grant(what, granted=False, detail=detail, cost=cost, remedy=remedy)

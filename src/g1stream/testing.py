@@ -1,7 +1,7 @@
-"""Replacements for DDS, the clock and the robot, for tests of code that streams.
+"""Test doubles for DDS, the clock and the robot, for tests of code that streams.
 
-With `FakeClock` and `FakeLink` a loop runs in no time, and every sleep, command and timestamp can
-be asserted to the nanosecond:
+With `FakeClock` and `FakeLink` a loop runs without waiting, and every sleep, command and timestamp
+can be asserted to the nanosecond:
 
     clock = FakeClock()
     link = FakeLink(clock)
@@ -9,10 +9,10 @@ be asserted to the nanosecond:
     loop.run()
     assert link.phases()["DAMP"] == 500
 
-`Lockstep` is a link and a clock with the physics of our bridge behind it; `g1stream.rollout` wraps
-it for whole sessions.
+`Lockstep` is a link and a clock with the physics of g1stream's bridge; `g1stream.rollout` uses it
+for whole sessions.
 
-`dask_cluster` is a cluster on this machine, for tests of code that computes a library.
+`dask_cluster` starts a Dask cluster on this machine, for tests of code that computes a library.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ EPOCH: Final = 1_700_000_000_000_000_000
 
 
 class FakeClock:
-    """A clock whose time passes only by sleeping and by `work`.
+    """A clock that advances only with `sleep_until` and `work`.
 
     Args:
-        limit: the longest time that may pass, ns; more is an AssertionError, so that a loop that
-            does not end fails.
+        limit: maximum time that may pass, ns; more raises an AssertionError, so that an endless
+            loop fails.
 
     Attributes:
-        time: what `now` returns, ns.
-        deadlines: the arguments of `sleep_until`, in order, also those that had passed.
-        oversleeps: deadline -> how late the sleep until it ends, ns; 0 for all others.
+        time: the return value of `now`, ns.
+        deadlines: the arguments of `sleep_until`, in order, including deadlines that had passed.
+        oversleeps: deadline -> lateness of the sleep that ends there, ns; 0 for all others.
     """
 
     def __init__(self, limit: int = 100_000_000_000) -> None:
@@ -93,14 +93,14 @@ class FakeClock:
             raise AssertionError("the loop does not end")
 
     def work(self, duration: int) -> None:
-        """Let time pass, ns, as a computation does."""
+        """Advance the clock by a duration, ns, as a computation does."""
         self.time += duration
 
 
 class Sent(NamedTuple):
-    """One LowCmd with its Reference, as a `FakeLink` got them."""
+    """One LowCmd with its Reference, as sent to a `FakeLink`."""
 
-    time: int  # ns of the clock
+    time: int  # of the clock, ns
     stamp: int  # publish time, ns since the epoch
     command: LowCmd
     reference: Reference
@@ -113,19 +113,19 @@ class FakeLink:
         clock: the clock of the loop.
 
     Attributes:
-        sent: what the loop has sent.
-        told: what it has published beside that: topic, data, publish time.
-        robot: the robot's LowState, which the loop receives at every tick. It stands upright, and
-            its accelerometer has noise: a robot that always measures the same is frozen.
-        silent: the robot publishes nothing but by `publish_state`.
-        subscriber_count: of LowCmd.
+        sent: the commands of the loop.
+        told: other messages of the loop: topic, data, publish time.
+        robot: the robot's LowState, which the loop receives at every tick. It stands upright. Its
+            accelerometer has noise, because a LowState that never changes counts as frozen.
+        silent: the robot publishes only with `publish_state`.
+        subscriber_count: number of subscribers of LowCmd.
         others: names of other publishers of LowCmd.
         publisher: identity of the publisher of LowState.
-        state_others: names of the publishers of LowState, where there are several.
-        waits_for: why the first command has to wait; "" if it has not.
+        state_others: names of the publishers of LowState, if there are several.
+        waits_for: why the first command has to wait; "" if it need not.
         guard_took_over: why the guard process damps the robot; "" while it does not.
-        announced: how the robot announces that it is held.
-        on_send: called after each `send`, with the number of those before.
+        announced: the support that the robot announces.
+        on_send: called after each `send` with the number of earlier ones.
     """
 
     def __init__(self, clock: FakeClock) -> None:
@@ -191,7 +191,7 @@ class FakeLink:
         return self.guard_took_over
 
     def publish_state(self, data: bytes) -> None:
-        """Let a silent robot publish one LowState."""
+        """Publish one LowState of a silent robot."""
         self._published = data
 
     def at_send(self, n: int, act: Callable[[], object]) -> None:
@@ -199,11 +199,11 @@ class FakeLink:
         self.on_send = lambda i: act() if i == n else None
 
     def phases(self) -> dict[str, int]:
-        """Number of commands by phase, in order of time."""
+        """Number of commands by phase, in the order of the phases."""
         return dict(Counter(Phase(int(sent.reference.phase)).name for sent in self.sent))
 
     def in_phase(self, phase: Phase) -> list[Sent]:
-        """What was sent in a phase."""
+        """The commands that were sent in a phase."""
         return [sent for sent in self.sent if int(sent.reference.phase) == phase]
 
 
@@ -211,14 +211,14 @@ class FakeLink:
 def dask_cluster(
     threads: int = 1, workers: int = 1
 ) -> Iterator[tuple[str, subprocess.Popen[bytes], list[subprocess.Popen[bytes]]]]:
-    """A Dask scheduler and workers on loopback, as docs/scale.md starts them.
+    """Run a Dask scheduler and workers on loopback, started as in docs/scale.md.
 
     Args:
-        threads: of each worker.
-        workers: how many.
+        threads: number of threads of each worker.
+        workers: number of workers.
 
     Yields:
-        The scheduler's address, its process and those of the workers.
+        The scheduler's address, its process, and the processes of the workers.
     """
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory, "scheduler.json")
@@ -246,32 +246,32 @@ def dask_cluster(
             yield address, head, many
         finally:
             for process in (*many, head):
-                process.kill()  # a worker that is to end in order waits for its scheduler
+                process.kill()  # a worker that is terminated waits for its scheduler
                 process.wait()
 
 
-#: Before and after PLAY, s.
+#: Durations of RAMP and HOLD, s.
 _RAMP: Final = 0.5
 _HOLD: Final = 0.3
 
 
 @dataclass(frozen=True)
 class SyntheticSession:
-    """What is wrong with a robot, and how long it is recorded.
+    """A synthetic session of a robot with known tracking errors.
 
     Attributes:
-        seconds: length of PLAY; RAMP of 0.5 s and HOLD of 0.3 s are around it.
+        seconds: length of PLAY, s; RAMP takes 0.5 s and HOLD 0.3 s.
         rate: commands and states per second, Hz; states are half a period after commands.
-        delay: (29,) s or one for all, by which the robot is behind the reference.
-        gain: by which it moves less than asked.
-        bias: (29,) rad or one for all, reference - measured.
+        delay: (29,) s or one value for all, delay of the robot relative to the reference.
+        gain: measured over reference motion.
+        bias: (29,) rad or one value for all, reference - measured.
         noise: standard deviation of measured positions, rad.
-        torque: (29,) N·m·s/rad or one for all: each motor's torque is so much times the velocity.
-        gaps: (start, length) s, PLAY's first frame at 0, in which no LowState is recorded.
-        clock_offset: of the robot's clock against the recorder's, s.
-        latency: of every message, s.
-        seed: of the noise.
-        metadata: of the session.
+        torque: (29,) N·m·s/rad or one value for all, ratio of each motor's torque to its velocity.
+        gaps: (start, length) s in which no LowState is recorded; PLAY starts at 0.
+        clock_offset: offset of the robot's clock from the recorder's, s.
+        latency: latency of every message, s.
+        seed: seed of the noise.
+        metadata: metadata of the session.
     """
 
     seconds: float
@@ -288,7 +288,7 @@ class SyntheticSession:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def joints(self, time: ArrayLike, late: ArrayLike = 0.0) -> tuple[Floats, Floats, Floats]:
-        """q, dq and ddq (T, 29) of the reference at times (T,) s, or that much earlier."""
+        """q, dq and ddq (T, 29) of the reference at times (T,) s, delayed by `late` s."""
         numbers = np.arange(N_JOINTS)
         total = np.zeros((3, np.size(time), N_JOINTS))
         for amplitude, hertz in ((0.3, 0.21), (0.08, 1.3)):
@@ -300,7 +300,7 @@ class SyntheticSession:
         return total[0], total[1], total[2]
 
     def write(self, writer: SessionWriter | MemorySource) -> None:
-        """Write the samples, and the metadata at the end."""
+        """Write the samples, and finally the metadata."""
         rng = np.random.default_rng(self.seed)
         ticks = round((_RAMP + self.seconds + _HOLD) * self.rate)
         size = round(0.25 * self.rate)
@@ -366,7 +366,7 @@ class SyntheticSession:
 
 
 def _channel(topic: Topic) -> str:
-    """The topic of a session that holds the samples of a topic of DDS."""
-    from g1stream.session.streams import STREAMS  # needs more than a fake clock does
+    """The topic of a session file that contains the samples of a DDS topic."""
+    from g1stream.session.streams import STREAMS  # here, because fake clocks and links need none
 
     return next(name for name, kind in STREAMS.items() if kind.source == topic)

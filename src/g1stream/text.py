@@ -1,4 +1,4 @@
-"""Text for people: wrapped, in tables, and without what a terminal would obey as escapes."""
+"""Text output: wrapping, tables, and escaping of terminal control characters."""
 
 from __future__ import annotations
 
@@ -13,44 +13,44 @@ if TYPE_CHECKING:
 __all__ = ["WIDTH", "counted", "labelled", "listed", "printable", "ranges", "short_name", "table"]
 
 WIDTH: Final = 80
-"""No line is longer, unless a single word is."""
+"""Maximum width of a line in columns; only a single word may be longer."""
 
 
 def printable(text: str) -> str:
-    r"""The text with line breaks, control and invisible characters as escapes, such as `\x1b`."""
+    r"""Escape line breaks, control and invisible characters of a text, as in `\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def counted(n: int, noun: str) -> str:
-    """`1 tick`, `2 ticks`."""
+    """A number with its noun: `1 tick`, `2 ticks`."""
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:
-    """`a, b and 3 more`: all of some names, or the first `most`."""
+    """Names as a list, cut after the first `most`: `a, b and 3 more`."""
     shown = ", ".join(names[:most]) or "nothing"
     return f"{shown} and {len(names) - most} more" if len(names) > most else shown
 
 
 def ranges(spans: Sequence[tuple[int, int]], most: int) -> str:
-    """`0 to 3, 7 and 2 more spans`: first and last of each of them, or of the first `most`."""
+    """Spans (first, last) as a list, cut after the first `most`: `0 to 3, 7 and 2 more spans`."""
     shown = ", ".join(f"{a} to {b}" if a < b else f"{a}" for a, b in spans[:most])
     more = len(spans) - most
     return f"{shown} and {counted(more, 'more span')}" if more > 0 else shown
 
 
 def short_name(name: str) -> str:
-    """Of a joint, a link or a limb, for a title: `left knee`."""
+    """Short name of a joint, link or limb for a title: `left knee`."""
     return name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
 
 
 def labelled(label: str, text: str) -> str:
-    """`label text` in lines of `WIDTH` columns, the text wrapped beside its label.
+    """A label and a text in lines of `WIDTH` columns, with the text wrapped beside the label.
 
-    The text may come from a file or a peer: what a terminal would obey is escaped, and an endless
-    text is cut.
+    The text may come from a file or a peer, so control characters are escaped and a text longer
+    than `TEXT` is cut.
     """
     shown = printable(text[:TEXT])
     return textwrap.fill(
@@ -64,7 +64,7 @@ def labelled(label: str, text: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Rows in columns, right-aligned but for those named; columns without values are left out."""
+    """Lines of a table; the columns `left` are left-aligned, and empty columns are left out."""
     columns = [
         [cell.ljust(width) if i in left else cell.rjust(width) for cell in column]
         for i, column in enumerate(zip(*rows, strict=True))

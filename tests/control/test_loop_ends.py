@@ -176,7 +176,7 @@ def test_two_publishers_of_the_state_get_no_command(make_loop, link):
 def test_a_restarted_simulator_is_another_robot(make_loop, link):
     link.at_send(120, lambda: setattr(link, "publisher", 2))
     report = make_loop().run()
-    assert "another publisher" in report.reason
+    assert "publisher of LowState has changed" in report.reason
     assert report.commands == 121 + DAMP
     link.assert_damped()
 

@@ -191,7 +191,7 @@ def test_a_tick_that_stands_still_where_it_went(begun):
     it = begun(frozen_timeout=0.1)
     it.ticking = False
     assert it.publish(times=50) == ""
-    assert "tick of LowState stands still at 6" in it.publish()
+    assert "tick of LowState has been 6 for" in it.publish()
 
 
 def test_a_bridge_without_a_tick_is_believed(make):
@@ -223,7 +223,7 @@ def test_a_leap(begun, robot):
     assert it.publish() == ""
     it.state.q[3] += 0.5 + 1.1 * velocity * 0.002
     reason = it.publish()
-    assert reason.startswith("left_knee_joint leapt")
+    assert reason.startswith("left_knee_joint jumped")
     assert "safety.max_leap = 0.5 rad" in reason
 
 
@@ -233,7 +233,7 @@ def test_a_simulator_that_catches_up_does_not_leap(begun, robot):
     it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.05
     assert it.publish() == ""
     it.state.q[3] -= 0.5 + 1.1 * robot.velocity[3] * 0.002
-    assert "leapt" in it.publish()
+    assert "jumped" in it.publish()
 
 
 def test_a_joint_has_moved_since_the_content_changed(begun, robot):
@@ -267,7 +267,7 @@ def test_before_the_first_command_a_robot_may_be_replaced(make):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda it: setattr(it, "publisher", 2), "another publisher"),
+        (lambda it: setattr(it, "publisher", 2), "publisher of LowState has changed"),
         (lambda it: it.state.tick.fill(0), "tick of LowState went back from 6 to 2"),
         (lambda it: it.state.mode_machine.fill(0), "mode_machine changed from 5 to 0"),
     ],

@@ -173,7 +173,9 @@ STATES: Final = [
         reason="safety.frozen_timeout",
         record="complete",
     ),
-    Fault("LowState at 5 Hz", "LowState", [{"do": "seldom"}], sent=False, reason="LowState comes"),
+    Fault(
+        "LowState at 5 Hz", "LowState", [{"do": "seldom"}], sent=False, reason="LowState arrives"
+    ),
     Fault("simulator starts again", "LowState", does("restart"), reason="publisher"),
     Fault("mode_machine changes", "LowState", says("mode_machine", 4), reason="mode_machine"),
     Fault(

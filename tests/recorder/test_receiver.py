@@ -147,7 +147,7 @@ def test_a_receiver_that_is_killed_raises_once_all_samples_are_drained(receiver,
 
 
 @pytest.mark.parametrize(
-    ("number", "cause"), [(signal.SIGTERM, "before it was told"), (signal.SIGSTOP, "is stopped")]
+    ("number", "cause"), [(signal.SIGTERM, "ended unexpectedly"), (signal.SIGSTOP, "is stopped")]
 )
 def test_a_receiver_that_ends_or_is_stopped_is_noticed(receiver, until, number, cause):
     until(lambda: receiver._child._beating, "a sign of life")

@@ -184,7 +184,7 @@ def test_a_corner_that_is_no_number_is_refused(sphere):
     data = bytearray(sphere.read_bytes())
     data[96:100] = np.float32(np.nan).tobytes()
     sphere.write_bytes(data)
-    with pytest.raises(RobotError, match="no number"):
+    with pytest.raises(RobotError, match="not a finite number"):
         read_stl(sphere)
 
 

@@ -1,1 +1,1 @@
-"""The real-time loop: phases and safety (pure), absolute deadlines, and what ties them to DDS."""
+"""The real-time loop: phases, safety checks, commands, absolute deadlines and the link to DDS."""

@@ -1,11 +1,11 @@
-"""The command of a tick: of the target, feed-forward and limits, as a LowCmd and its Reference.
+"""Make the LowCmd and the Reference of a tick from target, feed-forward and limits.
 
-Through rt/arm_sdk only arms and waist get targets, which the robot's own controller blends into its
-own while it stands, walks and balances. A weight w from 0 to 1 says how much of arms and waist is
-ours: the motors get (1 - w) of its command and w of ours. It keeps the last weight that it was
-sent, whoever sent it, so that whoever raised it has to bring it back to 0.
+On rt/arm_sdk only arms and waist get targets. The robot's own controller blends them into its own
+targets while it stands, walks and balances, with a weight w from 0 to 1: the motors get (1 - w) of
+the controller's command and w of the stream's. The controller keeps the last weight that any
+program sent, so the program that raised it must bring it back to 0.
 
-Pure: times and measurements come in as arguments.
+Pure: times and measurements are arguments.
 """
 
 from __future__ import annotations
@@ -49,28 +49,28 @@ __all__ = [
 _LOGGER = logging.getLogger(__name__)
 
 WEIGHT_TIME: Final = 2.0
-"""Time in which the weight of rt/arm_sdk goes from 0 to 1, and back, s: Unitree's examples'."""
+"""Time in which the weight of rt/arm_sdk goes from 0 to 1 or back, s, as in Unitree's examples."""
 
 HAND_BACK_TIME: Final = WEIGHT_TIME + 0.05
-"""How long arms and waist are handed back at the end, s; at last a weight of 0 is repeated, because
-a best-effort reader may miss one."""
+"""Time in which arms and waist are handed back at the end, s. The weight of 0 is repeated, because
+a best-effort reader may miss one command."""
 
 MOVED: Final = select_joints("arms,waist")
-"""(29,) the joints that the robot's own controller lets others move."""
+"""(29,) the joints that can be moved through the robot's own controller."""
 
 
 class Composer:
     """Makes the LowCmd and the Reference of a tick.
 
     Args:
-        limits: of a command.
-        gains: kp and kd in every phase but DAMP.
+        limits: limits of a command.
+        gains: kp and kd in all phases except DAMP.
         damp_kd: kd in DAMP, N·m·s/rad.
-        played: (29,) which joints play the motion, all if None; told in the Reference.
-        commanded: (29,) which motors get commands, all if None; the slots of the others are all 0.
+        played: (29,) joints that play the motion, as published in the Reference; None: all.
+        commanded: (29,) motors that get commands, None: all; the slots of the others are 0.
 
     Attributes:
-        limits: as given; it counts what it has changed.
+        limits: as given; it counts the changes.
     """
 
     def __init__(
@@ -98,13 +98,13 @@ class Composer:
         self.limits.begin(q)
         command = self._command
         command.motor_mode = self._commanded.astype(np.uint8)
-        command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
+        command.mode_pr[()] = 0  # mode 1 (AB) changes the meaning of ankle and waist joints
         command.mode_machine[()] = mode_machine
         command.kp[:], command.kd[:] = self._servo
         command.q[:] = q
 
     def damp(self) -> None:
-        """Ask for no position, only for damping, from now on: the last target stays in place."""
+        """Command only damping from now on, without position control; keeps the last target."""
         command = self._command
         command.kp[:] = command.dq[:] = command.tau[:] = 0.0
         command.kd[:] = self._damp_kd * self._commanded
@@ -121,24 +121,24 @@ class Composer:
         measured: Reading | None = None,
         age: float = 0.0,
     ) -> tuple[bytes, bytes]:
-        """A sealed LowCmd and its Reference, as they go onto the wire.
+        """Make a LowCmd with its CRC, and its Reference, as they are published.
 
         Args:
-            due: the target at their publish time; published as Reference.
-            commanded: the target of the LowCmd, which takes effect later; its torque is published
-                in the Reference too.
-            phase: of the session.
+            due: target at the publish time, for the Reference.
+            commanded: target of the LowCmd, which takes effect later; its torque is also published
+                in the Reference.
+            phase: phase of the session.
             tick: number of the Reference.
-            elapsed: time since the command before, s.
+            elapsed: time since the previous command, s.
             ramped: progress of the ramp, 0 to 1.
             measured: the newest LowState; None: the torque is not limited.
-            age: of that when the command takes effect, s.
+            age: age of `measured` when the command takes effect, s.
 
         Raises:
             SafetyError: a value of the command is not finite.
         """
         command, reference = self._command, self._reference
-        if phase is not Phase.DAMP:  # what `damp` has set
+        if phase is not Phase.DAMP:  # in DAMP, the command is as `damp` has set it
             asked, wire = self._asked, self._wire
             asked[0], asked[1] = commanded.q, commanded.dq
             wire[:2], wire[2] = asked, commanded.tau
@@ -156,7 +156,7 @@ class Composer:
         reference.tick[()] = tick
         reference.phase[()] = phase
         reference.motion_time[()] = due.motion_time
-        # Rounded as the LowCmd is: more digits mean nothing, and do not compress.
+        # Rounded like the LowCmd, because more digits have no meaning and do not compress.
         np.concatenate(
             (
                 due.q,
@@ -175,7 +175,7 @@ class Composer:
         return self._seal(phase, tick), reference.tobytes()
 
     def _seal(self, phase: Phase, tick: int) -> bytes:
-        """The LowCmd of a tick, with nothing in the slots of motors that get no command."""
+        """The LowCmd of a tick with its CRC, with zeros for motors that get no command."""
         command = self._command
         if len(self._silent):
             for values in (command.q, command.dq, command.tau, command.kp, command.kd):
@@ -184,14 +184,14 @@ class Composer:
 
 
 class ArmSdkComposer(Composer):
-    """Makes commands for rt/arm_sdk: only arms and waist, and a weight.
+    """Makes commands for rt/arm_sdk, with targets for arms and waist and a weight.
 
-    The weight rises from the first command on, and falls in DAMP; there, arms and waist keep gains
+    The weight rises from the first command on, and falls in DAMP. There, arms and waist keep gains
     and torque of the last target, without its velocity, while the controller takes them over.
 
     Args:
         limits, gains, played, commanded: as of `Composer`.
-        period: ns between commands.
+        period: time between commands, ns.
     """
 
     def __init__(
@@ -203,16 +203,16 @@ class ArmSdkComposer(Composer):
         period: int,
     ) -> None:
         super().__init__(limits, gains, 0.0, played, commanded)
-        self._sent, self._tick = 0.0, 0  # the weight of the last command; the tick after it
+        self._sent, self._tick = 0.0, 0  # weight of the last command, and the tick after it
         self._next = 0.0
         self._period = period
 
     def damp(self) -> None:
-        """Come to rest: gains and torque stay, see `_seal`."""
+        """Stop with the same gains and torque; `_seal` reduces the weight."""
         self._command.dq[:] = 0.0
 
     def _seal(self, phase: Phase, tick: int) -> bytes:
-        if tick != self._tick:  # what was made for the tick before has been sent
+        if tick != self._tick:  # the command of the previous tick has been sent
             self._sent, self._tick = self._next, tick
         self._next = _next_weight(self._sent, self._period, up=phase is not Phase.DAMP)
         self._command.weight[()] = self._next
@@ -220,9 +220,9 @@ class ArmSdkComposer(Composer):
 
 
 def hand_back_commands(command: bytes, period: int) -> Iterator[bytes]:
-    """Sealed commands, `period` ns apart, that bring the weight of `command` to 0.
+    """Commands with their CRC, `period` ns apart, that bring the weight of `command` to 0.
 
-    Its targets, gains and torques stay, without velocity.
+    They keep its targets, gains and torques, without velocity.
     """
     last = LowCmd()
     last.load(command)
@@ -234,21 +234,21 @@ def hand_back_commands(command: bytes, period: int) -> Iterator[bytes]:
 
 
 def _next_weight(weight: float, period: int, *, up: bool) -> float:
-    """The weight of the command that is `period` ns later; of NaN it is 0."""
+    """The weight of the command that is `period` ns later; 0 after NaN."""
     step = period / 1e9 / WEIGHT_TIME
     return min(1.0, max(0.0, weight + (step if up else -step)))
 
 
 class Prepared(NamedTuple):
-    """A command, and what it was made of.
+    """A prepared command with its inputs.
 
     Attributes:
-        command: the LowCmd as it goes onto the wire.
-        reference: its Reference, likewise.
-        target: before feed-forward and limits.
-        due: when it is published.
+        command: the LowCmd as it is published.
+        reference: its Reference as it is published.
+        target: the target before feed-forward and limits.
+        due: publish time, ns.
         measured: the newest LowState; None before the first.
-        told: what the source tells of this command, and of those that it replaces.
+        told: messages of the source about this command and those that it replaces.
     """
 
     command: bytes
@@ -260,20 +260,20 @@ class Prepared(NamedTuple):
 
 
 class NextCommand:
-    """Makes commands, each some time before it is published.
+    """Prepares each command before its publish time.
 
     Args:
-        schedule: the phases, and the target of each.
-        composer: limits a command, and encodes it.
-        feedforward: what a command carries beside the position.
-        period: between commands.
-        soft_start: length of damping before RAMP, so that the first commands are not stiff.
-        clock: tells the time, ns; for the source.
+        schedule: the phases and their targets.
+        composer: limits and encodes commands.
+        feedforward: velocity and torque of commands.
+        period: time between commands, ns.
+        soft_start: duration of damping before RAMP, ns, so that the first commands are not stiff.
+        clock: returns the time, ns; for the source.
 
     Attributes:
         composer, feedforward: as given.
         prepared: the newest command; None before the first.
-        last: the newest target that was asked for.
+        last: the newest target of the schedule.
     """
 
     def __init__(
@@ -300,11 +300,11 @@ class NextCommand:
 
     @property
     def phase(self) -> Phase:
-        """As which commands are published: a soft start only damps."""
+        """The phase with which commands are published; DAMP during a soft start."""
         return self._schedule.state.phase if self._soft_until is None else Phase.DAMP
 
     def begin(self, measured: Reading, support: str | None, model: str | None) -> None:
-        """RAMP begins, of a robot that announces its support and model; None where it does not."""
+        """Begin RAMP of a robot that announces its support and model; None if it does not."""
         self.feedforward.begin(support, model)
         self._ramp_from(measured)
         if self._soft_start:
@@ -317,7 +317,7 @@ class NextCommand:
         self.feedforward.source.ramp_to(self._schedule.first)
 
     def continue_soft_start(self, deadline: int, measured: Reading | None) -> None:
-        """Begin RAMP anew from the pose measured now, until the soft start, if any, is over."""
+        """Restart RAMP from the measured pose at every tick of the soft start, if there is one."""
         if self._soft_until is None:
             return
         self._schedule.state = replace(self._schedule.state, since=deadline)
@@ -330,12 +330,12 @@ class NextCommand:
         _LOGGER.info("soft start: damped for %g s", self._soft_start / 1e9)
 
     def delay_soft_start(self, gap: int) -> None:
-        """The soft start, if any, ends later by `gap`, in which nothing was sent."""
+        """Extend the soft start, if any, by `gap` ns in which nothing was sent."""
         if self._soft_until is not None:
             self._soft_until += gap
 
     def prepare(self, deadline: int, now: int, measured: Reading | None) -> None:
-        """Make the command that is published at `deadline`."""
+        """Prepare the command that is published at `deadline`."""
         schedule, feedforward = self._schedule, self.feedforward
         commanded = due = self.last = schedule.target(deadline, self.last)
         if measured and self.phase is not Phase.DAMP:
@@ -348,7 +348,7 @@ class NextCommand:
                 self.phase, ramped, self.last, measured, age, time, self._sent, self._clock
             )
             commanded = feedforward.command(moment)
-            # Of a command that is replaced before it is sent, it is told with the next one.
+            # The message of a command that is replaced before it is sent goes with the next one.
             if told := feedforward.source.told():
                 self._told = (*self._told, told)
         self.compose(due, commanded, deadline, measured)
@@ -371,7 +371,7 @@ class NextCommand:
         self.prepared = Prepared(command, reference, due, deadline, measured, self._told)
 
     def sent(self) -> None:
-        """The newest command has been sent."""
+        """Note that the newest command has been sent."""
         self.composer.limits.sent()
         self._sent += 1
         self._told = ()

@@ -1,4 +1,7 @@
-"""How late the motors follow their commands: a simulator that is short of CPU queues them; pure."""
+"""Detect that commands take effect late, as in a simulator that queues them without CPU time.
+
+Pure: times and measurements are arguments.
+"""
 
 from __future__ import annotations
 
@@ -22,37 +25,37 @@ DELAY_REMEDY: Final = (
     "lower --rate (unitree_mujoco's Python simulator keeps up with 200), or give the simulator "
     "more CPU"
 )
-"""Against commands that wait in a queue."""
+"""Remedy for commands that wait in a queue."""
 
-#: So many commands are kept, so many s apart, and one reading in so many s is compared.
+#: Number of commands that are kept, the time between them, and between compared readings, s.
 _KEPT: Final = 100
 _STEP: Final = 0.02
 _EVERY: Final = 0.05
 #: Time constant of forgetting, s.
 _MEMORY: Final = 1.0
-#: Commands that are newer than this are not late, s.
+#: Age up to which commands are not late, s.
 _PROMPT: Final = 0.1
-#: Older ones are late if they leave less than this of the squared error that the newer ones leave,
-#: both with so much more for each reading, (N·m)².
+#: An older command is late if its squared torque error is below this fraction of the lowest one of
+#: the newer commands. `_NOISE` is added to both errors for each reading, (N·m)².
 _LEFT: Final = 0.25
 _NOISE: Final = N_JOINTS * 0.05**2
-#: Nothing is said before so many readings, of which older ones count less: sensor noise changes the
-#: torques from command to command, and one reading may match an old command by chance.
+#: Number of readings, with forgetting, before a delay is reported. Sensor noise changes the torques
+#: from command to command, so one reading may match an old command by chance.
 _ENOUGH: Final = 8.0
 
 
 class CommandDelay:
-    """Compares the measured torques with those that the commands of the last two seconds asked for.
+    """Estimates the command delay from measured torques and the commands of the last two seconds.
 
     A motor's torque is tau + kp (q - measured q) + kd (dq - measured dq) within its limits, with
-    the tau, q and dq of the command that it follows. The delay is that of the commands with the
-    least squared error.
+    the tau, q and dq of the command that it follows. The delay is the age of the command with the
+    smallest squared torque error.
 
     Args:
-        balanced: the motors keep the robot on its feet, which they cannot with a delay.
+        balanced: the motors balance the robot, which fails with a delay.
 
     Attributes:
-        longest: delay that there was, s; 0 if none was above 0.1 s, None in the first 2.5 s.
+        longest: longest delay so far, s; 0 if none was above 0.1 s, None in the first 2.5 s.
     """
 
     def __init__(self, *, balanced: bool = False) -> None:
@@ -68,7 +71,7 @@ class CommandDelay:
         self._content = b""
 
     def sent(self, time: float, command: bytes) -> None:
-        """A LowCmd was published at a time, s."""
+        """Add a LowCmd that was published at `time`, s."""
         if time - self._sent < _STEP - 1e-6:
             return
         self._sent = time
@@ -79,11 +82,11 @@ class CommandDelay:
         self._n += 1
 
     def add(self, measured: Reading) -> None:
-        """A LowState was received; the first one warns that shows a delay."""
+        """Compare a LowState; log a warning at the first delay."""
         time = measured.received / 1e9
         if time - self._compared < _EVERY - 1e-6 or self._n < _KEPT:
             return
-        if measured.content == self._content:  # a state that stands still matches some old command
+        if measured.content == self._content:  # an unchanged state matches some old command
             return
         self._compared, self._content = time, measured.content
         newest_first = (self._n - 1 - np.arange(_KEPT)) % _KEPT
@@ -105,7 +108,7 @@ class CommandDelay:
         self._seconds = float(ages[least]) if late else 0.0
         if late and not self.longest:
             _LOGGER.warning(
-                "the motors follow commands that are %.2f s old, as where they wait in a queue: %s",
+                "the motors follow commands that are %.2f s old; commands may wait in a queue: %s",
                 self._seconds,
                 DELAY_REMEDY,
             )
@@ -115,4 +118,4 @@ class CommandDelay:
         """Why the robot has to be damped, or ""."""
         if not (self._balanced and self._seconds):
             return ""
-        return f"no balance on motors that follow commands which are {self._seconds:.2f} s old"
+        return f"the balance fails, because commands take effect {self._seconds:.2f} s late"

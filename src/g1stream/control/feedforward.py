@@ -1,6 +1,6 @@
 """Feed-forward: the velocity and torque of a command, from the model of the robot.
 
-Pure: time and measurements come in as arguments. docs/tracking.md explains the method.
+Pure: time and measurements are arguments. docs/tracking.md explains the method.
 """
 
 from __future__ import annotations
@@ -27,48 +27,47 @@ __all__ = ["FeedForward"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: No G1 turns faster than this without having fallen, rad/s.
+#: Pelvis rate above which a G1 must have fallen, rad/s.
 _MAX_GYROSCOPE: Final = 30.0
-#: The torque fades out, and in again, in this time, s.
+#: Time in which the torque fades out, and in again, s.
 _FADE: Final = 0.1
 
 
 class FeedForward:
     """Adds velocity and torque to targets.
 
-    With `dynamics`, the torque is that of a source, such as the inverse dynamics of the reference.
-    It fades in with RAMP. While the IMU is stale or implausible, and while the source has a fault,
-    the torque is faded out and the velocity remains.
+    With `dynamics`, a source computes the torque, for example by inverse dynamics of the reference.
+    It fades in with RAMP. While the IMU is stale or implausible, or the source has a fault, the
+    torque is faded out and the velocity remains.
 
-    Velocities are given in the robot's time, which in a simulator that is short of CPU is slower
-    than the clock: the reference's velocity is divided by the time scale, its acceleration by the
-    square of it.
+    Velocities are given in the robot's time, which is slower than the clock in a simulator without
+    enough CPU time. The reference's velocity is divided by the time scale, and its acceleration by
+    the square of the time scale.
 
     Args:
-        kind: what commands carry beside q; None: `dynamics` where the bridge announces how it holds
-            the robot, `velocity` elsewhere.
+        kind: feed-forward of commands; None: `dynamics` if the bridge announces its support,
+            otherwise `velocity`.
         support: how the robot is held; None: as the bridge announces.
-        source: computes torques for `dynamics`; None: there are none.
-        limit: (29,) N·m, the largest torque in either direction; 0 for joints that get none.
-        period: s between commands.
-        preview: s by which the target of a command is ahead of its publish time, because it takes
-            effect later; None: a period for a bridge that announces its support, otherwise 0, and
-            the delay.
-        time_scale: simulated over real time; None: it is measured.
-        onboard: the robot's own controller carries it, and only arms and waist are commanded. Their
-            torque is that of a pelvis at rest in the attitude that the IMU measures, whatever the
-            legs do.
-        delay: s from when a command is received to when the motors obey it, as far as is known.
-        torque_scale: (29,) torque that the motors apply over that which commands ask for; asked
-            for is the torque of the source divided by it.
+        source: computes torques for `dynamics`; None: no torques.
+        limit: (29,) N·m, the largest torque in either direction; 0 for joints without torque.
+        period: time between commands, s.
+        preview: time by which the target of a command is ahead of its publish time, s, because it
+            takes effect later. None: `delay`, plus a period for a bridge that announces its
+            support.
+        time_scale: ratio of simulated to real time; None: it is measured.
+        onboard: the robot's own controller carries the robot, and only arms and waist are
+            commanded. Their torque is computed for a pelvis at rest in the attitude that the IMU
+            measures, independent of the legs.
+        delay: known time from receiving a command until the motors apply it, s.
+        torque_scale: (29,) ratio of the torque that the motors apply to the commanded torque; the
+            torque of the source is divided by it.
 
     Attributes:
         kind, support: as decided when RAMP begins; None before.
-        source: in use; before RAMP begins, and without torques, one that leaves targets as they
-            are.
+        source: the source in use. Before RAMP, and without torques, it does not change targets.
         preview: as decided, s; 0 before RAMP begins.
-        scale: the measured time scale; None where it is given.
-        saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
+        scale: the measured time scale; None if it is given.
+        saturated: (29,) int64, ticks at which each joint's torque was at its limit.
         changes: when the torque was switched off and on again, in order.
     """
 
@@ -100,7 +99,7 @@ class FeedForward:
         self._limit = limit
         self._period = period
         self._weight = 1.0  # of the torque, 0 while faded out
-        self._fault = ""  # the reported one
+        self._fault = ""  # the reported fault
         self._tau = np.zeros(N_JOINTS)
 
     def stop_reason(self) -> str:
@@ -109,18 +108,18 @@ class FeedForward:
         return self.source.fall or (lost if self.source.needed and self._fault else "")
 
     def begin(self, announced: str | None, robot: str | None = None) -> None:
-        """Decide on kind, support and preview, and log the decision.
+        """Choose kind, support and preview, and log the choice.
 
         Args:
             announced: the support that the bridge announces; None if it does not.
             robot: the name of the robot that it announces; None if it does not.
 
         Raises:
-            ConfigError: there is no torque for how the bridge holds the robot.
+            ConfigError: there is no torque for this support.
         """
-        # Our bridge's servo runs at the rate of commands: it reads one half a period after it
-        # arrived on average, and holds it for a whole one. unitree_mujoco's bridges run at another
-        # rate or on the arrival of a command, with measurements that are older by a step.
+        # The servo of g1stream's bridge runs at the rate of commands. On average it reads a command
+        # half a period after its arrival, and holds it for a period. unitree_mujoco's bridges run
+        # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
         self.kind, self.support = self._asked, self._told_support
@@ -131,7 +130,7 @@ class FeedForward:
             (known for known in get_args(Support) if known == announced), None
         )
         if self.kind is None:
-            # Ground contact is in the model of a robot on its feet only.
+            # Only the model of the extra `feet` includes ground contact.
             known = self.support not in (None, "free") or (self._torques and self._torques.needed)
             self.kind = "dynamics" if known and self._torques else "velocity"
         unknown = self.kind == "dynamics" and not (self._torques and self.support)
@@ -146,7 +145,7 @@ class FeedForward:
             self.source.begin(self.support, announced, robot)
 
     def _begin_onboard(self, announced: str | None, robot: str | None) -> None:
-        """As `begin`, where the robot's own controller carries it: nothing is to be checked."""
+        """As `begin`, for a robot that its own controller carries; its support is not checked."""
         if self.kind is None:
             known = announced is not None
             self.kind = "dynamics" if known and self._torques else "velocity"
@@ -157,23 +156,23 @@ class FeedForward:
         else:
             _LOGGER.warning(
                 "feed-forward: %s only: arms and waist sag under their weight; "
-                "--feedforward dynamics carries it",
+                "--feedforward dynamics compensates for it",
                 self.kind,
             )
 
     @property
     def time_scale(self) -> float:
-        """Simulated over real time, as given or measured."""
+        """Ratio of simulated to real time, as given or measured."""
         return self.scale.value if self.scale else self._told_scale
 
     def observe(self, phase: Phase, measured: Reading) -> None:
-        """Take a new LowState into account; `phase` is that of the newest command."""
+        """Process a new LowState; `phase` is the phase of the newest command."""
         if self.scale and Phase.WAIT < phase < Phase.DAMP:
             self.scale.add(measured)
         self.source.observe(phase, measured, self.time_scale)
 
     def command(self, moment: Moment) -> Target:
-        """The target with the dq and tau that its command carries."""
+        """The target with the dq and tau of its command."""
         target = moment.target
         if self.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
@@ -181,7 +180,7 @@ class FeedForward:
             target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
-        # A motion in the robot's time waits while no LowState arrives.
+        # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
         age = 0.0 if self.source.own_time else moment.age
         fault = self.source.fault or _find_fault(moment.measured.imu, age)
         if fault:
@@ -192,12 +191,12 @@ class FeedForward:
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))
         self._log_change(fault, target.motion_time)
-        # Within half the ramp: the rest of it corrects the sag under a partial torque.
+        # Within half of the ramp, so that its rest corrects the sag under a partial torque.
         blend = minimum_jerk(2.0 * moment.ramped)[0]
         return target._replace(tau=self._limited(blend * self._weight * self._tau))
 
     def _log_change(self, fault: str, motion_time: float) -> None:
-        """Report a torque that has faded out or in completely, not a short fault."""
+        """Log when the torque has faded out or in completely; short faults are not logged."""
         if fault and not self._weight and fault != self._fault:
             self._fault = fault
             _LOGGER.warning("feed-forward: velocity only: %s", fault)
@@ -219,7 +218,7 @@ class FeedForward:
 
 
 def _find_fault(imu: ImuReading, age: float) -> str:
-    """Why no torque can be computed from the newest reading; empty if it can."""
+    """Why no torque can be computed from the newest reading, or ""."""
     if age > STALE:
         return f"LowState is older than {STALE:g} s"
     if not all(map(all_finite, imu)):

@@ -1,4 +1,4 @@
-"""Servo gains by joint, from the tables of a config or a gains file; pure."""
+"""Servo gains by joint, from the tables of a config or a gains file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
 
     Args:
         config: joints, limbs or patterns and their gains; later entries override earlier ones.
-        where: named in the error.
+        where: the source of the gains, for the error.
 
     Raises:
         ConfigError: a name or pattern matches no joint.
@@ -47,9 +47,9 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
 
 
 def gains_in_play(config: Config, robot: G1) -> Gains:
-    """The gains of a session: those of the config, but kp 0 for joints that are free.
+    """The gains of a session, from the config.
 
-    Those of joints that the robot does not have are 0.
+    kp is 0 for free joints. Both gains are 0 for joints that the robot does not have.
 
     Raises:
         ConfigError: a name or pattern matches no joint.
@@ -69,7 +69,7 @@ def _resolved(default: Floats, table: Mapping[str, float], where: str) -> Floats
 
 
 def read_gains(path: Path) -> dict[str, Any]:
-    """The tables of a gains file, which override those of a config.
+    """Read the tables of a gains file, which override those of a config.
 
     Raises:
         ConfigError: the file cannot be read, a name matches no joint or a value is not a gain.

@@ -1,13 +1,13 @@
-"""The guard of a stream: a process that damps the robot where the stream itself cannot.
+"""The guard of a stream: a process that damps the robot if the stream cannot.
 
-It joins the DDS domain before the first command, watches the stream's heartbeat, and publishes
-LowCmd only after the stream was killed or stopped, hangs or gets no CPU time. It has a session of
-its own and ignores signals, so that what ends the stream does not end it as well.
+It joins the DDS domain before the first command and watches the stream's heartbeat. It publishes
+LowCmd only after the stream was killed or stopped, hangs, or gets no CPU time. It has its own
+process session and ignores signals, so that the event that ends the stream does not end the guard.
 
-The stream writes its heartbeat and a copy of each command into shared memory, the guard what it
-sends instead. No command of the stream follows the guard's first one: the stream announces each
-write and then looks whether the guard has taken over; the guard announces that it takes over and
-then waits until no write is going on. docs/safety.md explains the guard.
+The stream writes its heartbeat and a copy of each command into shared memory. The guard writes the
+commands there that replace them. No command of the stream follows the guard's first one. The stream
+announces each write, and then checks whether the guard has taken over. The guard announces that it
+takes over, and then waits until no write is in progress. docs/safety.md explains the guard.
 """
 
 from __future__ import annotations
@@ -54,26 +54,26 @@ __all__ = [
     "damping_command",
 ]
 
-_LOGGER = logging.getLogger("g1stream.guard")  # as a child process, this module is __main__
+_LOGGER = logging.getLogger("g1stream.guard")  # in the child process, this module is __main__
 
-#: Silence after which the guard looks whether the stream is stopped or gone, ns.
+#: Silence after which the guard checks whether the stream is stopped or has ended, ns.
 _STATE_CHECK: Final = 20_000_000
-#: Between two such looks, ns.
+#: Time between two of these checks, ns.
 _CHECK_PERIOD: Final = 10_000_000
 
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
-#: The fields of the shared memory, each an int64. The stream's last command follows them, and the
-#: last two of the guard: it writes one while the stream may read the other.
+#: The fields of the shared memory, each an int64. They are followed by the stream's last command
+#: and the guard's last two, because it writes one while the stream may read the other.
 _LAST_WRITE, _WRITING, _TAKEOVER, _REPLACEMENTS, _SUBSCRIBERS, _FIELDS = range(6)
-#: Silence of a running stream that ends it where there may be a robot, s.
+#: Silence after which a running stream is replaced if there may be a robot, s.
 _ROBOT_SILENCE: Final = 0.04
-#: How often subscribers are counted before the first command, ns.
+#: Interval at which subscribers are counted before the first command, ns.
 _DISCOVERY_PERIOD: Final = 20_000_000
-#: A store of one process is visible to the other long before this, s.
+#: Upper bound of the time until a store of one process is visible to the other, s.
 _VISIBLE: Final = 0.0002
-#: How long the guard waits for the end of a write, s. A write takes some 20 us of CPU time.
+#: Maximum wait of the guard for the end of a write, s. A write takes about 20 us of CPU time.
 _WRITE_TIMEOUT: Final = 0.02
-#: How long the process may take to end, s, beside the time of damping.
+#: Maximum time that the process takes to end, s, in addition to the time of damping.
 _END_TIMEOUT: Final = 2.0
 
 
@@ -98,13 +98,13 @@ class Heartbeat:
     """Memory that a stream and its guard share.
 
     Args:
-        memory: file descriptor of another process's heartbeat; a new one is made without it.
+        memory: file descriptor of another process's heartbeat; None: create a new one.
 
     Attributes:
-        descriptor: of the memory, to be inherited by the other process.
+        descriptor: file descriptor of the memory, which the other process inherits.
 
     Raises:
-        SafetyError: the system has no such memory.
+        SafetyError: the system does not provide the memory.
     """
 
     def __init__(self, memory: int | None = None) -> None:
@@ -113,58 +113,59 @@ class Heartbeat:
             if sys.platform != "linux":
                 raise SafetyError(
                     "The guard process needs Linux.",
-                    "On loopback, leave it out: safety.guard = false.",
+                    "On loopback, disable it: safety.guard = false.",
                 )
             memory = _new_memory(size)
         self.descriptor = memory
         shared = memoryview(mmap.mmap(memory, size))
-        # A store of 8 aligned bytes is atomic: neither side ever reads half a number.
+        # A store of 8 aligned bytes is atomic, so neither side reads half a number.
         self._fields = shared[: 8 * _FIELDS].cast("q")
         self._command, *self._replacements = (
             shared[start:][:_COMMAND_SIZE] for start in range(8 * _FIELDS, size, _COMMAND_SIZE)
         )
 
     def begin_write(self, command: bytes, now: int) -> None:
-        """Note, before a command is written, what it is and when, ns of CLOCK_MONOTONIC."""
+        """Store a command and the time, ns of CLOCK_MONOTONIC, before it is written."""
         self._command[:] = command
         self._fields[_WRITING] = now
 
     def end_write(self, now: int) -> None:
-        """Note when the command was written; 0: it could not be."""
+        """Store when the command was written, ns of CLOCK_MONOTONIC; 0: the write failed."""
         if now:
             self._fields[_LAST_WRITE] = now
         self._fields[_WRITING] = 0
 
     @property
     def writing(self) -> bool:
-        """Whether a write has begun and not ended."""
+        """Whether a write is in progress."""
         return bool(self._fields[_WRITING])
 
     @property
     def last_write(self) -> int:
-        """When the last command was written, ns of CLOCK_MONOTONIC; 0: there is none to damp.
+        """When the last command was written, ns of CLOCK_MONOTONIC; 0: nothing to damp.
 
-        In the first write, it is when that began: the robot may have the command.
+        During the first write, it is the begin of that write, because the robot may have received
+        the command.
         """
         return self._fields[_LAST_WRITE] or self._fields[_WRITING]
 
     def clear(self) -> None:
-        """Note that the robot is damped, so that the guard has nothing to do."""
+        """Store that the robot is damped, so that the guard does not take over."""
         self._fields[_LAST_WRITE] = 0
 
     @property
     def command(self) -> bytes:
-        """The last command; an interrupted copy leaves joints of the one before it."""
+        """The last command; after an interrupted copy, it has joints of the previous one."""
         return bytes(self._command)
 
     @property
     def takeover(self) -> Takeover:
-        """Why the guard damps the robot; NONE: it does not."""
+        """Why the guard damps the robot; NONE if it does not."""
         return Takeover(self._fields[_TAKEOVER])
 
     @property
     def replacement(self) -> bytes:
-        """The guard's last command, for the stream to send as well; empty before its first one."""
+        """The guard's last command, which the stream sends as well; empty before the first one."""
         number, command = 0, b""
         while number != self._fields[_REPLACEMENTS]:  # there is a newer one
             number = self._fields[_REPLACEMENTS]
@@ -172,7 +173,7 @@ class Heartbeat:
         return command
 
     def replace(self, command: bytes, why: Takeover) -> None:
-        """Note, before the guard writes a command, what it is, and why the guard damps."""
+        """Store a command of the guard and the reason for damping, before it is written."""
         number = self._fields[_REPLACEMENTS] + 1
         self._replacements[number % 2][:] = command
         self._fields[_TAKEOVER] = why
@@ -180,7 +181,7 @@ class Heartbeat:
 
     @property
     def subscribers(self) -> int:
-        """Subscribers of LowCmd that the guard is matched with, before the first command."""
+        """Number of subscribers of LowCmd that the guard has matched before the first command."""
         return self._fields[_SUBSCRIBERS]
 
     @subscribers.setter
@@ -193,24 +194,24 @@ class Heartbeat:
 
 
 def _new_memory(size: int) -> int:
-    """A file descriptor of memory that a child process can inherit."""
+    """Create memory that a child process can inherit; return its file descriptor."""
     try:
         memory = os.memfd_create("g1stream-heartbeat")
         os.truncate(memory, size)
     except OSError as error:
         raise SafetyError(
             f"No memory can be shared with the guard process: {error.strerror}.",
-            "Look at the limits of this process with `ulimit -a`: open files and memory.",
+            "Check the limits on open files and memory with `ulimit -a`.",
         ) from error
     return memory
 
 
 class Watch:
-    """Decides from the heartbeat when to take over.
+    """Decides from the heartbeat when the guard takes over.
 
-    A stopped or ended process is recognised by its state, soon after its last command. Where it
-    runs, silence decides. How late the guard itself is woken up is not counted as silence: then the
-    machine stalls, and the stream may not be worse off than the guard.
+    A stopped or ended process is detected by its state, soon after its last command. A running
+    process is replaced after a silence. The lateness of the guard's own wake-ups does not count as
+    silence, because the whole machine has stalled then, and the stream may be healthy.
 
     Args:
         limit: silence after which a running stream is replaced, ns.
@@ -221,13 +222,13 @@ class Watch:
         self._last_write = self._own_lateness = 0
 
     def judge(self, now: int, due: int, last_write: int, state: Callable[[], Takeover]) -> Takeover:
-        """Whether and why to take over.
+        """Decide whether to take over, and why.
 
         Args:
-            now: ns.
-            due: when the guard was to look, ns.
-            last_write: of the heartbeat, ns; 0: there is nothing to damp.
-            state: why the process sends nothing, by its state: NONE, ENDED or STOPPED.
+            now: time, ns.
+            due: scheduled time of this check, ns.
+            last_write: time in the heartbeat, ns; 0: nothing to damp.
+            state: returns NONE, ENDED or STOPPED from the state of the process.
         """
         if last_write != self._last_write:
             self._last_write, self._own_lateness = last_write, 0
@@ -239,7 +240,7 @@ class Watch:
         return state() or (Takeover.SILENT if late else Takeover.NONE)
 
     def next_look(self, now: int) -> int:
-        """When to look again, ns."""
+        """Time of the next check, ns."""
         if now - self._last_write < _STATE_CHECK:
             return self._last_write + _STATE_CHECK
         limit = self._last_write + self._limit + self._own_lateness
@@ -247,16 +248,16 @@ class Watch:
 
 
 def damping_command(command: bytes, kd: float) -> bytes:
-    """A sealed LowCmd that damps with gain `kd` where `command` was, N·m·s/rad."""
+    """A LowCmd with its CRC that damps with gain `kd`, N·m·s/rad, at the target of `command`."""
     damping = LowCmd()
     damping.load(command)
     damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0
-    damping.kd[:] = kd * (damping.motor_mode == 1)  # nothing to a motor that is not there
+    damping.kd[:] = kd * (damping.motor_mode == 1)  # 0 for missing motors
     return damping.seal()
 
 
 def count_subscribers(participant: Participant, commands: RawWriter) -> int:
-    """Number of subscribers of LowCmd that a writer is matched with, without observers."""
+    """Number of subscribers of LowCmd that a writer has matched, without observers."""
     matched = commands.matched
     if not matched:
         return 0
@@ -265,7 +266,7 @@ def count_subscribers(participant: Participant, commands: RawWriter) -> int:
 
 
 class GuardedLoop(Protocol):
-    """What the guard asks of a loop.
+    """Interface of a loop that a guard protects.
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
@@ -274,22 +275,22 @@ class GuardedLoop(Protocol):
     damped: bool
 
     def end_for_error(self, reason: str) -> None:
-        """End the run through DAMP, unless its end has begun."""
+        """End the run through DAMP, unless it is already ending."""
 
 
 class Guard:
-    """The guard process of this process's stream; a context manager.
+    """Context manager that runs the guard process of this process's stream.
 
-    It starts while everything else is prepared. A stream does not begin without it, and ends where
-    it fails; on loopback, it can be left out.
+    The guard starts while everything else is prepared. A stream does not begin without it, and ends
+    if it fails. On loopback, it can be disabled.
 
     Args:
-        config: of the stream, with the settings that depend on the wire.
+        config: settings of the stream, including those that `for_wire` sets.
 
     Raises:
-        ConfigError: it is disabled, and a robot may be commanded.
-        SafetyError: this system cannot have one.
-        ChildError: it cannot be started.
+        ConfigError: the guard is disabled, and a robot may be commanded.
+        SafetyError: this system does not support a guard.
+        ChildError: the guard process cannot be started.
     """
 
     def __init__(self, config: Config) -> None:
@@ -311,17 +312,17 @@ class Guard:
         elif not is_local_only(config.dds.interface):
             raise ConfigError(
                 f"safety.guard = false, but a robot may be on {config.dds.interface}.",
-                "Leave it out: without the guard process, a stream that is killed does not damp.",
+                "Remove this setting: without the guard process, a killed stream does not damp.",
             )
 
     def wait_until_ready(self) -> Heartbeat | None:
-        """Wait until the process watches.
+        """Wait until the guard process watches the heartbeat.
 
         Returns:
-            The heartbeat, for the link that publishes the commands; None where there is no guard.
+            The heartbeat, for the link that publishes the commands; None without a guard.
 
         Raises:
-            ChildError: it cannot.
+            ChildError: the guard process failed or was not ready in time.
         """
         if self._child:
             self._child.wait_until_ready()
@@ -329,9 +330,9 @@ class Guard:
 
     @contextmanager
     def protecting(self, loop: GuardedLoop) -> Iterator[None]:
-        """Damp in the place of a loop that runs; afterwards only if it has not damped."""
+        """Context manager that protects a running loop; afterwards only if it has not damped."""
         self._loop, self._began = loop, True
-        if self._failure:  # before there was a loop to stop
+        if self._failure:  # the guard failed before the loop existed
             self._fail(self._failure)
         try:
             yield
@@ -360,23 +361,23 @@ class Guard:
         loop = self._loop
         if loop is None or (self._heartbeat and self._heartbeat.takeover):
             return
-        loop.end_for_error(f"no guard process any more: {cause.rstrip('.')}")
+        loop.end_for_error(f"the guard process failed: {cause.rstrip('.')}")
 
 
 class _Settings(NamedTuple):
-    """What the process is told.
+    """Settings of the guard process.
 
     Attributes:
         memory: file descriptor of the heartbeat.
-        stream: pid.
-        domain, interface: of DDS.
-        priority: of SCHED_FIFO; 0: normal scheduling.
+        stream: process id of the stream.
+        domain, interface: DDS domain and network interface.
+        priority: SCHED_FIFO priority; 0: normal scheduling.
         limit: silence after which a running stream is replaced, ns.
-        period: between two damping commands, ns.
-        damp: for how long, ns.
-        damp_kd: N·m·s/rad.
-        arm_sdk: the stream commands arms and waist through the robot's own controller: these are
-            handed back to it, instead of damped.
+        period: time between two damping commands, ns.
+        damp: duration of damping, ns.
+        damp_kd: kd of damping, N·m·s/rad.
+        arm_sdk: the stream commands arms and waist through the robot's own controller; they are
+            handed back to it instead of damped.
     """
 
     memory: int
@@ -411,13 +412,13 @@ def _settings(config: Config, memory: int) -> _Settings:
 
 
 def _run_child(parent: Parent) -> None:
-    """Watch the stream that started this process, and damp the robot where the stream cannot."""
+    """Watch the stream that started this process, and damp the robot if the stream cannot."""
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         with suppress(OSError):  # reserved by the C library
             signal.signal(number, signal.SIG_IGN)
     settings = _Settings(**parent.startup_message)
     heartbeat = Heartbeat(settings.memory)
-    allow_all_cpus()  # what takes the stream's CPU must not take the guard's
+    allow_all_cpus()  # a process that takes the stream's CPU must not take the guard's
     with Participant(settings.domain, settings.interface) as participant:
         topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
         commands = RawWriter(participant, topic, user_data=IDLE)
@@ -432,7 +433,7 @@ def _run_child(parent: Parent) -> None:
 def _watch(
     parent: Parent, heartbeat: Heartbeat, settings: _Settings, subscribers: Callable[[], int]
 ) -> Takeover:
-    """Wait until the stream ends; NONE if there is nothing left to damp."""
+    """Wait until the guard has to take over; NONE if the stream has ended and damped."""
     watch, due = Watch(settings.limit), time.monotonic_ns()
     while not parent.done.wait(max(0.0, (due - time.monotonic_ns()) / 1e9)):
         now, last_write = time.monotonic_ns(), heartbeat.last_write
@@ -448,7 +449,7 @@ def _watch(
 
 
 def _state(pid: int) -> Takeover:
-    """Why a process sends nothing, by its state."""
+    """Whether a process has ended or is stopped; NONE if it runs."""
     state = process_state(pid)
     if state in ("", "Z", "X"):
         return Takeover.ENDED
@@ -456,15 +457,15 @@ def _state(pid: int) -> Takeover:
 
 
 def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
-    """Wait until the stream, which has been replaced, has ended the write that it is in.
+    """Wait until the replaced stream has finished the write that is in progress.
 
-    It needs a CPU for that, and to run. A debugger may keep it from both: then it ends the write
-    later, and sends the guard's command right after.
+    For that the stream must run on a CPU. If a debugger prevents this, the stream finishes the
+    write later, and sends the guard's command right after it.
     """
     time.sleep(_VISIBLE)
     if why is Takeover.ENDED or not heartbeat.writing:
         return
-    with suppress(OSError), _here(stream):  # it may be killed meanwhile
+    with suppress(OSError), _here(stream):  # the stream may be killed meanwhile
         if why is Takeover.STOPPED:
             os.kill(stream, signal.SIGCONT)
         end = time.monotonic() + _WRITE_TIMEOUT
@@ -476,15 +477,16 @@ def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
 
 @contextmanager
 def _here(pid: int) -> Iterator[None]:
-    """Move every thread of a process to this one's CPU, which has time for it, during a `with`.
+    """Context manager that moves all threads of a process to the CPU of this thread.
 
-    A thread that may also run elsewhere is not moved at once, and waits in the queue of a busy CPU.
+    This CPU has time for them. A thread that may also run on other CPUs is not moved immediately,
+    and would wait in the queue of a busy CPU.
     """
     # proc(5): the CPU is field 39; the name, field 2, may have spaces.
     stat = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()
     here, before = {int(stat[39 - 3])}, {}
     for task in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(OSError):  # it has ended meanwhile
+        with suppress(OSError):  # the thread has ended meanwhile
             before[int(task.name)] = os.sched_getaffinity(int(task.name))
             os.sched_setaffinity(int(task.name), here)
     try:
@@ -497,8 +499,8 @@ def _here(pid: int) -> Iterator[None]:
 
 def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
     def send(frame: bytes) -> None:
-        heartbeat.replace(frame, why)  # first, so that a stream that goes on sends nothing else
-        with suppress(DDSException):  # the next one may succeed
+        heartbeat.replace(frame, why)  # first, so that a stream that continues sends the same
+        with suppress(DDSException):  # the next write may succeed
             commands.write(frame)
 
     frames = _frames(heartbeat.command, settings)
@@ -522,7 +524,7 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
 
 
 def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
-    """What is published where `command` was the last one."""
+    """The guard's commands after `command`, the stream's last one."""
     if settings.arm_sdk:
         return hand_back_commands(command, settings.period)
     number = -(-settings.damp // settings.period) + 1

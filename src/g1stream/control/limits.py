@@ -1,4 +1,4 @@
-"""The limits of a command: of position, then of speed, then of torque; pure.
+"""Limits of a command: of its position, then speed, then torque. Pure.
 
 docs/safety.md explains every limit.
 """
@@ -26,38 +26,38 @@ if TYPE_CHECKING:
 __all__ = ["MAX_STEP_TIME", "CommandLimits"]
 
 MAX_STEP_TIME: Final = 0.02
-"""A joint target may move in one step by what its joint can do in this time, s.
+"""Maximum step of a joint target, as the time that its joint needs for it at full speed, s.
 
-Ten periods at 500 Hz: shorter than a person or a servo notices, and longer than the jitter of a
-loop on an ordinary system. It is also the longest time by which the target of a motion may lag
-behind, because its joint is too slow for it, and the most of a motion that is caught up on after a
-stall.
+These are ten periods at 500 Hz: short enough not to disturb a person or a servo, and longer than
+the jitter of a loop on an ordinary system. It is also the maximum lag of a motion's target whose
+joint is too slow, and the maximum part of a motion that is caught up after a stall.
 """
 
-#: Relative tolerance of a joint's speed: a motion exactly at its limit passes.
+#: Relative tolerance of a joint's speed, with which a motion exactly at its limit is accepted.
 _SPEED_TOLERANCE: Final = 1e-3
 
 
 class CommandLimits:
-    """Keeps commands within what the robot's joints can do.
+    """Keeps commands within the limits of the robot's joints.
 
-    Positions and velocities are the rows of one array (2, 29), which takes half the time of two.
+    Positions and velocities are the rows of one array (2, 29), which is twice as fast as two
+    arrays.
 
     Args:
-        robot: has the limits.
+        robot: the robot with the limits.
         config: the margin to the position limits.
-        beyond: what was asked for a motion beyond the limits: with `refuse`, a target that its
-            joint cannot follow ends the session; with `anyway`, speed and torque are not limited.
-        in_steps: targets are computed at a lower rate than commands, and are there for their
-            torque: one may move at once by what its joint can do in the time that it has rested, up
-            to `MAX_STEP_TIME`, and need not be reached.
+        beyond: handling of a motion beyond the limits. With `refuse`, a target that its joint
+            cannot follow ends the session; with `anyway`, speed and torque are not limited.
+        in_steps: targets are computed at a lower rate than commands, for their torque. A target may
+            step by the distance that its joint can move in the time since the last step, up to
+            `MAX_STEP_TIME`, and need not be reached.
 
     Attributes:
         clamped: (29,) int64, ticks at which each joint's target was clamped to a position limit; as
-            in `measure_limits`, not those that exceed it by less than `POSITION_TOLERANCE`.
-        speed_limited: (29,) ticks at which its step or velocity was cut to the velocity limit.
-        torque_limited: (29,) ticks at which its target was brought nearer to the measured one.
-        fault: why the session must end: the joint that cannot follow its target; "" otherwise.
+            in `measure_limits`, an excess below `POSITION_TOLERANCE` does not count.
+        speed_limited: (29,) ticks at which the step or velocity was cut to the velocity limit.
+        torque_limited: (29,) ticks at which the target was moved towards the measured position.
+        fault: why the session must end (the joint that cannot follow its target), or "".
 
     Raises:
         ConfigError: the margin leaves no range for a joint.
@@ -85,7 +85,7 @@ class CommandLimits:
         self._velocity, self._effort = robot.velocity, robot.torque_limit
         self._beyond = beyond
         self._in_steps = in_steps
-        #: For how long the target of each joint has rested, s, where it moves in steps.
+        #: Time since the last step of each joint's target, s; for `in_steps`.
         self._rested, self._next_rested = np.zeros((2, N_JOINTS))
         self._begun: Floats = (robot.lower + robot.upper) / 2
         #: Largest step, rad, and velocity, rad/s.
@@ -116,19 +116,19 @@ class CommandLimits:
         measured: Reading | None = None,
         age: float = 0.0,
     ) -> tuple[Floats, Floats]:
-        """The nearest command within the limits of position, then of speed, then of torque.
+        """Limit a command in position, then in speed, then in torque.
 
         Args:
             asked: (2, 29) position and velocity, rad and rad/s.
             tau: (29,) N·m.
-            elapsed: time since the command before, s.
+            elapsed: time since the previous command, s.
             ramped: progress of the ramp, 0 to 1.
             gains: (2, 29) kp and kd, N·m/rad and N·m·s/rad.
             measured: the newest LowState; None: the torque is not limited.
-            age: of that when the command takes effect, s.
+            age: age of `measured` when the command takes effect, s.
 
         Returns:
-            As `asked` and `tau`; `asked` itself where nothing is limited.
+            As `asked` and `tau`; `asked` itself if nothing is limited.
         """
         q = asked[0]
         limited = self.limit_position(q, ramped)
@@ -145,8 +145,8 @@ class CommandLimits:
         np.multiply(self._fastest, time, out=self._reach[0])
         aimed = eased = self._limit_speed(asked)
         if self._eased is not None:
-            # Back from the torque limit no target leaves the limits, where the one that is aimed at
-            # is still on its way into them.
+            # A target that returns from the torque limit stays within the position limits, even if
+            # the unlimited target is still moving into them.
             lowest = np.minimum(np.minimum(self._lower, asked[0]), self._eased)
             highest = np.maximum(np.maximum(self._upper, asked[0]), self._eased)
             eased = np.stack([np.clip(aimed[0], lowest, highest), aimed[1]])
@@ -154,7 +154,7 @@ class CommandLimits:
             eased = self._limit_torque(eased, tau, gains, measured, age)
         self._next_eased = None
         if eased is not aimed or self._eased is not None:
-            # To the torque limit and back, too, no target leaps.
+            # The speed limit also applies to targets that move to the torque limit and back.
             before, reach = self._aimed[0] if self._eased is None else self._eased, self._reach[0]
             eased = np.stack([np.clip(eased[0], before - reach, before + reach), eased[1]])
             if not np.array_equal(eased, aimed):
@@ -163,15 +163,15 @@ class CommandLimits:
         return eased, tau
 
     def sent(self) -> None:
-        """The last command has been sent: the step of the next one begins at it."""
+        """Note that the last command has been sent; the next step starts from it."""
         self._aimed, self._next_aimed = self._next_aimed, self._aimed
         self._eased, self._rested = self._next_eased, self._next_rested
 
     def limit_position(self, q: Floats, ramped: float = 1.0) -> Floats:
-        """Joint targets (29,) clamped to the limits, rad; `q` itself if none is clamped.
+        """Clamp joint targets (29,) to the limits, rad; returns `q` itself if none is clamped.
 
-        For a joint that starts RAMP outside a limit, the limit moves from the start pose to its
-        final value with the ramp, so that the command has no step.
+        For a joint that starts RAMP outside a limit, the limit moves with the ramp from the start
+        pose to its final value, so that the command has no step.
 
         Args:
             q: the targets, rad.
@@ -194,8 +194,7 @@ class CommandLimits:
         """Velocities and torques (29,) that do not drive a clamped joint into its limit.
 
         Args:
-            excess: how far each target was above its upper limit, or below its lower one
-                (negative), rad.
+            excess: distance of each target above its upper limit, rad; negative below the lower.
             dq: target velocities, rad/s.
             tau: feed-forward torques, N·m.
 
@@ -205,12 +204,12 @@ class CommandLimits:
         return np.where(excess, 0.0, dq), np.where(excess * tau > 0.0, 0.0, tau)
 
     def require_finite(self, asked: NDArray[np.floating]) -> None:
-        """Refuse a command (3, 29) with NaN or infinity in its q, dq or tau.
+        """Check that a command (3, 29) has no NaN or infinity in its q, dq or tau.
 
-        To be called before the limits, which would hide an infinite position.
+        Call it before the limits, which would hide an infinite position.
 
         Raises:
-            SafetyError: names the first such value and its joint.
+            SafetyError: a value is not finite; the error names the first one and its joint.
         """
         if all_finite(asked.ravel()):
             return
@@ -222,7 +221,7 @@ class CommandLimits:
         )
 
     def _limit_speed(self, asked: Floats) -> Floats:
-        """Targets (2, 29) that the joints reach from those before; the same object if these are."""
+        """Targets (2, 29) that the joints can reach from the last ones; `asked` itself if it is."""
         change = asked - self._aimed
         beyond = np.abs(change) > self._reach
         if not np.count_nonzero(beyond):
@@ -243,13 +242,12 @@ class CommandLimits:
     def _limit_torque(
         self, asked: Floats, tau: Floats, gains: Floats, measured: Reading, age: float
     ) -> Floats:
-        """Targets (2, 29) with a torque that the motors have; the same object if these have it.
+        """Targets (2, 29) within the torque limits of the motors; `asked` itself if it is.
 
-        The servo's torque is kp (q - measured q) + kd (dq - measured dq) + tau. What is too much is
-        taken from the first share, by moving the target towards the measured position, and then
-        from the second. So no torque is added to what was asked for, the servo keeps its damping as
-        far as possible, and a joint that is held back is pushed with what its motor has. `tau` is
-        within the limit by itself.
+        The servo's torque is kp (q - measured q) + kd (dq - measured dq) + tau. The excess is taken
+        from the first term, by moving the target towards the measured position, and then from the
+        second. So the torque is never increased, the servo keeps as much damping as possible, and a
+        blocked joint is pushed with the torque limit of its motor. `tau` alone is within the limit.
         """
         state = self._state
         state[0], state[1] = measured.q, measured.dq
@@ -265,9 +263,9 @@ class CommandLimits:
             less = np.clip(shares[row], np.minimum(excess, 0.0), np.maximum(excess, 0.0))
             excess = excess - less
             eased[row] -= np.divide(less, gains[row], out=np.zeros(N_JOINTS), where=less != 0.0)
-        # A robot beyond a position limit draws no target beyond it.
+        # A robot beyond a position limit must not move a target beyond it.
         lower, upper = np.minimum(asked[0], self._lower), np.maximum(asked[0], self._upper)
         eased[0] = np.clip(eased[0], lower, upper)
-        # Nor does one that is faster than its joints draw a target that is.
+        # A joint faster than its velocity limit must not set a target velocity above the limit.
         eased[1] = np.clip(eased[1], -self._fastest, self._fastest)
         return eased

@@ -1,4 +1,4 @@
-"""What the loop needs of the wire: the interface, and its implementation over DDS."""
+"""The link between loop and robot: its interface, and the implementation over DDS."""
 
 from __future__ import annotations
 
@@ -19,69 +19,69 @@ if TYPE_CHECKING:
 
 __all__ = ["END_OTHER", "DdsLink", "Link", "OtherPublishers"]
 
-#: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
+#: LowStates that are queued while the loop is not scheduled; 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
-#: Messages beside one command.
+#: Messages of a source with one command.
 _TOLD_DEPTH: Final = 8
-#: How long a second publisher of LowState is listened for, s. One that was killed is announced for
-#: some time, and publishes nothing.
+#: Time in which a second publisher of LowState may prove to be silent, s. DDS announces a killed
+#: publisher for some time, although it publishes nothing.
 _SECOND_PUBLISHER: Final = 2.0
-#: How often the loop looks for other publishers, ns.
+#: Interval at which the loop checks for other publishers, ns.
 _PERIOD: Final = 100_000_000
 
 
 class Link(Protocol):
-    """Commands out, states in. No call blocks."""
+    """Interface that publishes commands and receives states; no call blocks."""
 
     def subscribers(self) -> int:
-        """Number of matched subscribers of LowCmd that may act on it."""
+        """Number of matched subscribers of LowCmd, without observers."""
 
     def other_publishers(self) -> list[str]:
         """Names of other publishers of LowCmd."""
 
     def support(self) -> str | None:
-        """How the bridge announces to hold the robot; None if it does not."""
+        """The support that the bridge announces; None if it does not."""
 
     def model(self) -> str | None:
-        """The name of the robot that the bridge announces to simulate; None if it does not."""
+        """The name of the robot that the bridge announces; None if it does not."""
 
     def receive(self, state: LowState) -> int | None:
         """Load the newest LowState since the last call.
 
         Returns:
-            The identity of its publisher; None if there is no LowState.
+            The identity of its publisher; None without a new LowState.
         """
 
     def state_publishers(self) -> list[str]:
-        """Names of the publishers of LowState, if several publish by turns."""
+        """Names of the publishers of LowState, if several publish; otherwise empty."""
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
 
         Returns:
-            When the LowCmd was written, ns of CLOCK_MONOTONIC; 0: it could not be.
+            When the LowCmd was written, ns of CLOCK_MONOTONIC; 0 if the write failed.
         """
 
     def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
-        """Publish what a source tells of the LowCmd that was sent last, with its publish time."""
+        """Publish a source's message about the last LowCmd, with the publish time of the LowCmd."""
 
     def unready(self) -> str:
-        """Why the first command has to wait, or "": for the guard process or for LowStates."""
+        """Why the first command has to wait for the guard process or for LowStates, or ""."""
 
     def replaced(self) -> str:
-        """Why the guard process damps the robot in our place, or ""."""
+        """Why the guard process damps the robot instead of this process, or ""."""
 
 
 class DdsLink:
-    """The link over DDS. Every LowState is counted, the newest one is used.
+    """The link over DDS. It counts every LowState and uses the newest one.
 
-    Recorders and other observers are no subscribers.
+    Recorders and other observers do not count as subscribers.
 
     Args:
-        participant: whose domain to use.
-        heartbeat: of the guard process; None: there is none.
-        topic: of the commands: LOWCMD, or ARM_SDK.
-        told: topic of what a source tells of commands; None: it tells nothing.
+        participant: the DDS participant.
+        heartbeat: heartbeat of the guard process; None without a guard.
+        topic: topic of the commands, LOWCMD or ARM_SDK.
+        told: topic of a source's messages about commands; None without messages.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class DdsLink:
         self._several = False
         self._since = time.monotonic()
         self._bridge: AnnouncedBridge | None = None
-        self._published: set[int] = set()  # publishers of commands that were heard
+        self._published: set[int] = set()  # publishers from which commands were received
         self._known: tuple[tuple[int, int], int] | None = ((0, 0), 0)
         self._other_names: list[str] = []
         tick = Layout.of(LOWSTATE.idl_type)["tick"]
@@ -116,8 +116,9 @@ class DdsLink:
         return count_subscribers(self._participant, self._commands)
 
     def other_publishers(self) -> list[str]:
-        # Asking for names takes a fraction of a tick, so it is done only when a writer has come,
-        # gone or begun to publish since: what one announces is not believed of one that was heard.
+        # Looking up names takes a fraction of a tick, so it is done only after a writer has
+        # appeared, disappeared or begun to publish. A writer that has published counts, even if it
+        # announces to be idle.
         samples = self._others.take()
         self._published.update(one.sample_info.publication_handle for one in samples)
         known = self._others.matches, len(self._published)
@@ -125,7 +126,7 @@ class DdsLink:
             participant = self._participant
             writers = participant.writers(self._topic.name)
             unknown = known[0][0] - len(writers)
-            self._known = None if unknown > 0 else known  # not announced yet: ask again
+            self._known = None if unknown > 0 else known  # some are not announced yet: try again
             self._other_names = [
                 *(
                     participant.owner(one)
@@ -168,7 +169,7 @@ class DdsLink:
         return named or ["unnamed participants"]
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """As of `Link`; where the guard process has taken over, its last command is sent."""
+        """As of `Link`; after the guard process has taken over, send its last command instead."""
         heartbeat = self._heartbeat
         if heartbeat is None:
             written = self._write(command, stamp)
@@ -210,7 +211,7 @@ class DdsLink:
         return f"the guard process damps the robot: this process {why}" if why else ""
 
     def counts(self) -> dict[str, int | None]:
-        """What was received and lost: the fields of `StreamSummary` with these names."""
+        """Counters of received and lost messages, by their field names in `StreamSummary`."""
         bridge = self._announced() or self._bridge
         return {
             "states_received": self._gaps.received,
@@ -225,19 +226,19 @@ class DdsLink:
 
 END_OTHER: Final = {
     LOWCMD: "Stop it; `g1stream robot release` releases the robot's own controller.",
-    ARM_SDK: "Stop it: one program at a time can move the arms.",
+    ARM_SDK: "Stop it, because only one program at a time can move the arms.",
 }
-"""By topic of commands, what to do about another publisher. The robot's own controller carries it
-while a stream has its arms."""
+"""Remedy for another publisher, by topic of commands. With ARM_SDK, the robot's own controller is
+not released, because it carries the robot while a stream moves its arms."""
 
 
 class OtherPublishers:
-    """Looks for other publishers of LowCmd, and for several of LowState.
+    """Detects other publishers of LowCmd, and several publishers of LowState.
 
     Args:
-        link: the wire.
-        allow_second_writer: whether there may be another publisher of commands.
-        topic: of the commands.
+        link: the link to the robot.
+        allow_second_writer: accept another publisher of commands.
+        topic: topic of the commands.
     """
 
     def __init__(self, link: Link, *, allow_second_writer: bool, topic: Topic = LOWCMD) -> None:
@@ -246,11 +247,12 @@ class OtherPublishers:
         self._next_command_check = self._next_state_check = 0
 
     def stop_reason(self, now: int, *, waiting: bool) -> str:
-        """Who else publishes at `now`, ns, or "".
+        """Why the session must end because of other publishers, or "".
 
         Args:
             now: time, ns.
-            waiting: for the first command; then publishers of LowCmd are looked for at every call.
+            waiting: the first command has not been sent, so check publishers of LowCmd at every
+                call.
         """
         if now >= self._next_state_check:
             self._next_state_check = now + _PERIOD
@@ -264,6 +266,6 @@ class OtherPublishers:
         return f"another publisher on {self._topic.name}: {', '.join(others)}" if others else ""
 
     def of_state(self) -> str:
-        """The publishers of LowState, if several publish at once, or ""."""
+        """Why the session must end because several publish LowState, or ""."""
         names = self._link.state_publishers()
         return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""

@@ -1,7 +1,7 @@
-"""The real-time loop: one thread, absolute deadlines, nothing that can block.
+"""The real-time loop: one thread with absolute deadlines and no blocking calls.
 
-At each deadline it writes what was prepared for it, then takes the newest LowState and prepares the
-next command, so that only a write lies between the deadline and the wire.
+At each deadline it writes the prepared command, then takes the newest LowState and prepares the
+next command, so that only a write lies between the deadline and DDS.
 """
 
 from __future__ import annotations
@@ -41,35 +41,35 @@ __all__ = ["StreamLoop", "make_loop"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: What WAIT waits for is said after the first of these times, and each time the second passes, ns.
+#: Time of the first log message about what WAIT waits for, and interval of the next ones, ns.
 _TOLD, _TOLD_AGAIN = 1_000_000_000, 3_000_000_000
-#: Time of the motion that one command may pass, ns.
+#: Maximum motion time between two commands, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 
 
 class StreamLoop:
     """Plays targets over a link until the motion ends or something stops it.
 
-    Phase changes, overruns and reasons to stop are logged; the logger must not block, see
+    It logs phase changes, overruns and reasons to stop. The logger must not block, see
     `g1stream.events.handled_by`.
 
     Args:
-        link: the wire.
-        clock: now, stamp and sleep_until.
-        schedule: the phases.
-        commands: makes them, of the targets of that schedule.
-        checks: of what is received.
-        overruns: the ticks that the loop misses.
-        period: ns between commands.
-        allow_second_writer: play although there is another publisher of LowCmd.
-        topic: of the commands: LOWCMD, or ARM_SDK.
-        command_delay: finds commands that wait in a queue; None: not looked for.
-        where: the robot is waited for, in words.
+        link: the link to the robot.
+        clock: provides now, stamp and sleep_until.
+        schedule: the phases and their targets.
+        commands: prepares commands from the targets of `schedule`.
+        checks: checks of received LowStates.
+        overruns: counts the ticks that the loop misses.
+        period: time between commands, ns.
+        allow_second_writer: play even if there is another publisher of LowCmd.
+        topic: topic of the commands, LOWCMD or ARM_SDK.
+        command_delay: detects commands that wait in a queue; None: no detection.
+        where: DDS domain and network of the robot, for log messages.
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
-        stop_requests: how often `request_stop` was called, also after the end.
-        report: counts and timing so far, and in the end of the whole run.
+        stop_requests: number of calls of `request_stop`, including those after the end.
+        report: counts and timing so far, and finally of the whole run.
     """
 
     def __init__(
@@ -103,9 +103,9 @@ class StreamLoop:
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
-        self._requested = ""  # to end the run, when there is time
+        self._requested = ""  # why to end the run, after the way down if there is one
         self._requested_level = logging.ERROR
-        self._stop_reason = ""  # to end it at once
+        self._stop_reason = ""  # why to end the run immediately
         self.damped = True
         self.stop_requests = 0
         self.report = LoopReport(
@@ -129,30 +129,30 @@ class StreamLoop:
 
     @property
     def motion_time(self) -> float:
-        """Where in the motion the loop is, s."""
+        """Current time in the motion, s."""
         return self.newest.target.motion_time if self.newest else 0.0
 
     @property
     def part(self) -> tuple[float, float]:
-        """Where in the motion PLAY begins and ends, s; infinity: without end."""
+        """Motion times at which PLAY begins and ends, s; infinity if it has no end."""
         start, length = self._schedule.first.motion_time, self._schedule.play
         return start, inf if length is None else start + length / 1e9
 
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
-        """End the run through DAMP; may be called from a signal handler or another thread.
+        """End the run through DAMP; can be called from a signal handler or another thread.
 
-        A robot on its feet goes down before; a second request damps it at once.
+        A balancing robot goes down first; a second request damps it immediately.
 
         Args:
-            reason: why, logged when DAMP begins.
-            level: of `logging`, of that event.
+            reason: why the run ends, logged when DAMP begins.
+            level: `logging` level of that event.
         """
         if not self._requested:
             self._requested, self._requested_level = reason, level
         self.stop_requests += 1
 
     def end_for_error(self, reason: str) -> None:
-        """Request a stop, unless there is one: a second would not let a robot go down first."""
+        """Request a stop, unless one is requested; a second one would skip the way down."""
         if not self.stop_requests:
             self.request_stop(reason)
 
@@ -173,7 +173,7 @@ class StreamLoop:
         return self.report
 
     def _play(self) -> None:
-        self._link.receive(self._low_state)  # discarded: it may be from before this run
+        self._link.receive(self._low_state)  # discarded, because it may be older than this run
         start = self._clock.now()
         self._schedule.state = PhaseState(Phase.WAIT, start)
         ticker = Ticker(self._clock, self._period, start)
@@ -201,7 +201,7 @@ class StreamLoop:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
 
     def _yield_to_guard(self, deadline: int) -> None:
-        """Change to DAMP if the guard process has begun to damp the robot."""
+        """Change to DAMP if the guard process damps the robot."""
         if not self.newest or self.state.phase >= Phase.DAMP:
             return
         if reason := self._link.replaced():
@@ -210,12 +210,12 @@ class StreamLoop:
             self._prepare(deadline)
 
     def _catch_up(self, deadline: int, gap: int) -> None:
-        """After ticks skipped for `gap`: go on a little in the motion, or stop after too many.
+        """Continue after ticks were skipped for `gap` ns, or stop after too long a stall.
 
-        The target moves on by no more than `MAX_STEP_TIME`; the rest of the time is added to the
-        phase, so that the motion ends later instead of leaping.
+        The target advances by at most `MAX_STEP_TIME`. The rest of the time is added to the phase,
+        so that the motion ends later instead of jumping.
         """
-        # Damping is as long as configured with commands; time without any does not count.
+        # Only time with commands counts towards the configured duration of damping.
         self._commands.delay_soft_start(gap)
         if self.state.phase is Phase.DAMP:
             self._schedule.delay(gap)
@@ -229,7 +229,7 @@ class StreamLoop:
             else:
                 self.report.delay += delay
             now = self._clock.now()
-            self._receive(now)  # states that arrived meanwhile, before their age is checked
+            self._receive(now)  # first, because the age of the newest state is checked next
             self._advance(now, deadline)
         self._prepare(deadline)
 
@@ -295,7 +295,7 @@ class StreamLoop:
                 longest = self._schedule.wait / 1e9
                 _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
         reason = self._reason_to_stop(now, unknown)
-        if reason and before.phase < Phase.DAMP:  # where the guard took over, it is what was seen
+        if reason and before.phase < Phase.DAMP:  # commands of the guard look like another writer
             reason = self._link.replaced() or reason
         self._schedule.advance(deadline, Inputs(missing, reason))
         if self.state.phase is not before.phase:
@@ -304,7 +304,7 @@ class StreamLoop:
             self._commands.continue_soft_start(deadline, self._measured)
 
     def _end_as_requested(self, deadline: int) -> None:
-        """End PLAY or HOLD once there is a way down from there, and a run without one at once."""
+        """End the run, after the way down if the source has one and it is possible."""
         if self.stop_requests > 1 or not self._schedule.go_down(
             deadline,
             self._requested,
@@ -319,13 +319,11 @@ class StreamLoop:
         return self._link.unready()
 
     def _robot_unknown(self, now: int) -> str:
-        """Why nothing is known of the robot now, or "" where it is."""
+        """Why the state of the robot is unknown, or ""."""
         fault = self._checks.unknown(now, self._target_q)
         skipped = self.report.skipped - self._skipped_when_measured
         if fault and skipped:
-            fault += (
-                f"; this machine stalled: the loop skipped {counted(skipped, 'tick')} meanwhile"
-            )
+            fault += f"; this machine stalled, and the loop skipped {counted(skipped, 'tick')}"
         return fault
 
     def _reason_to_stop(self, now: int, unknown: str) -> str:
@@ -344,7 +342,7 @@ class StreamLoop:
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other}; nothing was sent.",
-                f"{END_OTHER[self._topic]} Or choose another --domain.",
+                f"{END_OTHER[self._topic]} Or use another --domain.",
             )
         return other
 
@@ -373,16 +371,16 @@ class StreamLoop:
         self._stop_reason = self._stop_reason or self._commands.composer.limits.fault
 
     def _abort(self, error: BaseException) -> None:
-        """The loop itself has failed: damp at the last valid target, whatever its state was."""
+        """After a failure of the loop itself, damp at the last valid target."""
         before, start = self.state, self._clock.now()
-        # No target yet means that nothing was commanded.
+        # Without a target, nothing was commanded.
         last = self.newest.target if self.newest and before.phase < Phase.DONE else None
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, G1StreamError):
             reason = error.cause.rstrip(".")
         self._schedule.state = PhaseState(Phase.DAMP if last else Phase.DONE, start, reason)
         try:
-            if last and before.phase < Phase.DAMP:  # else the error says it all
+            if last and before.phase < Phase.DAMP:  # otherwise the raised error is sufficient
                 self._enter_phase(before)
         finally:
             try:
@@ -392,7 +390,7 @@ class StreamLoop:
                 self._schedule.state = replace(self.state, phase=Phase.DONE)
 
     def _damp(self, target: Target, deadline: int) -> None:
-        """Damp for as long as configured, and only then raise what failed meanwhile."""
+        """Damp for the configured time, then raise the first error of that time."""
         self._commands.composer.damp()  # the loop may have failed between DAMP and its gains
         failure: BaseException | None = None
         for _ in range(-(-self._schedule.damp // self._period)):
@@ -401,7 +399,7 @@ class StreamLoop:
                 self._commands.compose(target, target, deadline, self._measured)
                 self._publish(deadline)
                 deadline = max(deadline + self._period, self._clock.now())
-            except BaseException as error:  # noqa: PERF203  a second Ctrl-C too: damping goes on
+            except BaseException as error:  # noqa: PERF203  damping continues, also after Ctrl-C
                 failure = failure or error
                 deadline += self._period
         if failure:
@@ -411,16 +409,16 @@ class StreamLoop:
 def make_loop(
     plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9)
 ) -> StreamLoop:
-    """The loop that plays what is planned, not yet running.
+    """Make the loop that plays a plan, without starting it.
 
     Args:
-        plan: what is played, on what, and how.
-        link: the wire.
-        clock: now, stamp and sleep_until.
-        settle: how long other publishers are waited for before the first command, ns.
+        plan: the motion, robot and settings.
+        link: the link to the robot.
+        clock: provides now, stamp and sleep_until.
+        settle: minimum time in which other publishers are discovered before the first command, ns.
 
     Raises:
-        ConfigError: the margin to the limits leaves no range for a joint, or a setting names no
+        ConfigError: the margin to the limits leaves no range for a joint, or a setting is not a
             button of the remote.
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
@@ -436,7 +434,7 @@ def make_loop(
     targets = Targets(
         plan.trajectory,
         start=plan.interval.start,
-        # A source with a way down has changed the motion of the others.
+        # A source with a way down has already changed the motion of the other joints.
         played=None if way_down else plan.played,
         lift=source.lift,
         way_down=way_down,

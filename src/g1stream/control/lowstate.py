@@ -1,8 +1,8 @@
-"""What is measured of the robot, and every reason in it not to begin, or to end; pure.
+"""Checks of LowState: reasons not to begin a session, or to end it. Pure.
 
-A LowState is looked at in this order: whether it is to be believed (here), what the operator asks
-for with the remote (`dds.remote`), whether it is of the right robot (here), and whether that robot
-is all right (`monitor`). docs/safety.md explains every threshold.
+The checks run in this order: whether the LowState is plausible (here), what the operator requests
+with the remote (`dds.remote`), whether it is the right robot (here), and the condition of the robot
+(`monitor`). docs/safety.md explains every threshold.
 """
 
 from __future__ import annotations
@@ -29,43 +29,44 @@ if TYPE_CHECKING:
 __all__ = ["STATE_TIMEOUT", "LowStateChecks", "state_timeout"]
 
 STATE_TIMEOUT: Final = 0.1
-"""Age of the last LowState that stops, s, where `safety.state_timeout` is unset: of a robot."""
+"""Maximum age of the last LowState of a robot, s, if `safety.state_timeout` is unset."""
 
-_SELDOM: Final = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
-#: How far beyond its limits a joint may be where RAMP starts, rad: the play of an end stop.
+_SELDOM: Final = f"LowState arrives less often than every {STATE_TIMEOUT:g} s"
+#: Maximum distance of a joint beyond its limits at the start of RAMP, rad: the play of an end stop.
 _START_TOLERANCE: Final = 0.1
-#: A joint that something hits may be faster than its motor, by this factor.
+#: Factor by which a joint that something hits may be faster than its motor.
 _HIT: Final = 2.0
-#: Wrong CRCs are counted over this time, ns.
+#: Time over which wrong CRCs are counted, ns.
 _CRC_WINDOW: Final = 1_000_000_000
 
 
 def state_timeout(config: SafetyConfig) -> tuple[float, str]:
-    """The age of the last LowState that stops, s, and the words that name this limit."""
+    """The maximum age of the last LowState, s, and the name of this limit for messages."""
     limit = config.state_timeout or STATE_TIMEOUT
     return limit, f"limit safety.state_timeout = {limit:g} s"
 
 
 class LowStateChecks:
-    """Takes LowStates as they arrive, and says what in them keeps a session from going on.
+    """Checks LowStates as they arrive, for reasons to wait or to end the session.
 
-    What a bridge provides is learnt from what it sends: a CRC that is not 0 has to be right, and
-    after a right one a 0 is wrong as well; a tick that has advanced has to go on.
+    CRC and tick are optional, and are detected from the messages. A CRC that is not 0 must be
+    right, and after a right CRC, 0 is wrong as well. A tick that has advanced must keep advancing.
 
     Args:
-        robot: its limits.
+        robot: the robot with its limits.
         config: the thresholds.
-        period: between two looks at LowState, ns.
-        held: (29,) which joints have a position servo; all if None.
+        period: time between two checks of LowState, ns.
+        held: (29,) joints with a position servo; None: all.
 
     Attributes:
         measured: the newest LowState with a right CRC; None before the first.
-        crc_errors: LowStates that were dropped because of their CRC.
-        missing: what the first command has to wait for, or "": the operator, or more LowStates.
-        stop_reason: why the session must end by the newest LowState, whose robot is known, or "".
+        crc_errors: number of LowStates that were dropped because of their CRC.
+        missing: why the first command has to wait, for the operator or for more LowStates, or "".
+        stop_reason: why the session must end because of the newest LowState, or ""; see `unknown`
+            for a LowState that is not plausible.
 
     Raises:
-        ConfigError: a setting names no button of the remote.
+        ConfigError: a setting is not a button of the remote.
     """
 
     def __init__(
@@ -91,7 +92,7 @@ class LowStateChecks:
         self._forget_publisher()
 
     def _forget_publisher(self) -> None:
-        """Nothing is known of what the publisher provides."""
+        """Forget which optional fields the publisher provides."""
         self.measured = None
         self._interval = math.inf  # between the newest two LowStates, s
         self._has_crc = self._ticks = False
@@ -106,9 +107,9 @@ class LowStateChecks:
         self._upper = (self._robot.upper + tolerance).astype(np.float32)
 
     def begin(self) -> None:
-        """The first command follows: from now on it has to be the same robot.
+        """Begin with commands; from now on it must be the same robot.
 
-        The targets begin at the measured pose, and the robot has to move with them.
+        The targets begin at the measured pose, and the robot must move with them.
         """
         self._begun = True
         if self.measured:
@@ -119,13 +120,13 @@ class LowStateChecks:
     def take(
         self, state: LowState, publisher: int, now: int, target: Floats | None = None
     ) -> Reading | None:
-        """Check a LowState that was received at `now`, ns; None if it is dropped.
+        """Check a LowState; return its reading, or None if it is dropped.
 
         Args:
             state: the LowState.
             publisher: identity of its publisher.
-            now: ns, monotonic.
-            target: (29,) rad, the joint targets now; None before the first command.
+            now: time of reception, ns of the monotonic clock.
+            target: (29,) rad, the current joint targets; None before the first command.
         """
         measured = self._read(state, publisher, now, target)
         if measured is None:
@@ -146,11 +147,11 @@ class LowStateChecks:
     def _read(
         self, state: LowState, publisher: int, now: int, target: Floats | None
     ) -> Reading | None:
-        """Copy a LowState, and find out whether it is to be believed."""
+        """Copy a LowState, and check whether it is plausible; None if its CRC is wrong."""
         if publisher != self._publisher:
             if self._begun:
                 self._other_robot = (
-                    "LowState comes from another publisher than when RAMP began: the robot or "
+                    "the publisher of LowState has changed since RAMP began: the robot or "
                     "simulator was restarted, or there are two"
                 )
             else:
@@ -178,14 +179,14 @@ class LowStateChecks:
         return measured
 
     def unknown(self, now: int, target: Floats | None = None) -> str:
-        """Why nothing is known of the robot now, or "".
+        """Why the state of the robot is unknown, or "".
 
-        Before the first command that is waited out, because the first LowStates of a simulator may
-        be all zeros; afterwards it ends the session.
+        Before the first command, the session waits, because the first LowStates of a simulator may
+        be all zeros. Afterwards the session ends.
 
         Args:
-            now: ns, same clock as for `take`.
-            target: (29,) rad, the joint targets now; None before the first command.
+            now: time, ns of the same clock as for `take`.
+            target: (29,) rad, the current joint targets; None before the first command.
         """
         dropped = f"; {self.crc_errors} with a wrong CRC were dropped" if self.crc_errors else ""
         if self.measured is None:
@@ -198,7 +199,7 @@ class LowStateChecks:
         )
 
     def _wrong_robot(self) -> str:
-        """Why this robot may not be commanded, or ""."""
+        """Why this kind of robot may not be commanded, or ""."""
         if self.measured is None or (mode := self.measured.mode_machine) in self._allowed:
             return ""
         theirs = JointSet.of_mode(mode)
@@ -238,7 +239,7 @@ class LowStateChecks:
         self._tick, self._tick_since = tick, now
 
     def _implausible(self, measured: Reading) -> str:
-        """Why these numbers cannot be those of this robot, or ""."""
+        """Why a reading is impossible for this robot, or ""."""
         if not measured.finite:
             return f"LowState contains a {self._not_finite(measured)} that is NaN or infinite"
         if not is_unit(quat := measured.imu.quat_wxyz):
@@ -255,7 +256,7 @@ class LowStateChecks:
         return ""
 
     def _not_finite(self, measured: Reading) -> str:
-        """What is not finite, and of which joint."""
+        """The name of the first value that is not finite, with its joint."""
         joints = {"position": measured.q, "velocity": measured.dq, "torque": measured.tau}
         for what, values in joints.items():
             if not all_finite(values):
@@ -264,30 +265,29 @@ class LowStateChecks:
         return "reading of the " + ", ".join(name for name, one in imu if not all_finite(one))
 
     def _impossible(self, before: Reading, measured: Reading, tick: int) -> str:
-        """Why no joint can have moved so since the content changed last, or ""."""
+        """Why a joint cannot have moved like this since the last change of content, or ""."""
         step, speed = np.abs(measured.q - before.q), np.abs(measured.dq)
         fastest, most = self._robot.velocity, self._config.max_leap
         if step.max() <= most and (speed <= fastest).all():  # nearly always
             return ""
-        # A simulator that has fallen behind catches up in a burst; its ticks, in ms, say how far.
+        # A simulator that is late catches up in a burst; its ticks, in ms, give the passed time.
         ticks = ticks_between(self._content_tick, tick)
         passed = max((measured.received - self._content_since) / 1e9, ticks / 1e3)
         allowed = fastest * passed + most
         if (step > allowed).any():
             joint = int(np.argmax(step - allowed))
             return (
-                f"{self._robot.joint_names[joint]} leapt by {step[joint]:.3f} rad in "
+                f"{self._robot.joint_names[joint]} jumped by {step[joint]:.3f} rad in "
                 f"{passed:.3f} s, {fastest[joint]:g} rad/s allow {allowed[joint]:.3f} "
                 f"(limit safety.max_leap = {most:g} rad)"
             )
-        # Within a step a joint may turn back, and what hits it makes it faster than its motor.
+        # A joint may reverse within a step, and an impact makes it faster than its motor.
         unseen = speed - _HIT * fastest
         if (unseen * passed > step).any():
             joint = int(np.argmax(unseen * passed - step))
             return (
-                f"{self._robot.joint_names[joint]} reports {speed[joint]:.1f} rad/s, and has moved "
-                f"by {step[joint]:.3f} rad in {passed:.3f} s (its limit is {fastest[joint]:g} "
-                "rad/s)"
+                f"{self._robot.joint_names[joint]} reports {speed[joint]:.1f} rad/s, but moved by "
+                f"{step[joint]:.3f} rad in {passed:.3f} s (its limit is {fastest[joint]:g} rad/s)"
             )
         return ""
 
@@ -296,17 +296,17 @@ class LowStateChecks:
         still = (now - self._tick_since) / 1e9
         words = f"limit safety.frozen_timeout = {limit:g} s"
         if self._ticks and still > limit:
-            return f"the tick of LowState stands still at {self._tick} for {still:.3f} s ({words})"
+            return f"the tick of LowState has been {self._tick} for {still:.3f} s ({words})"
         still = (now - self._content_since) / 1e9
         if still <= limit:
             return ""
-        # Before the first command the targets stood where RAMP begins, at the measured pose.
+        # The targets begin at the measured pose where RAMP begins.
         start, moved = self._content_target, 0.0
         if start is not None and target is not None:
             moved = float(np.abs(target - start).max())
         if moved < moved_limit or (target is None and moved_limit > 0.0):
             return ""
         return (
-            f"LowState repeats itself for {still:.3f} s while the targets moved by {moved:.3f} rad "
-            f"({words}, safety.frozen_motion = {moved_limit:g} rad)"
+            f"LowState has not changed for {still:.3f} s while the targets moved by "
+            f"{moved:.3f} rad ({words}, safety.frozen_motion = {moved_limit:g} rad)"
         )

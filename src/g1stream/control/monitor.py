@@ -1,4 +1,4 @@
-"""Whether the robot is all right: attitude, speed, tracking, motors, temperatures; pure.
+"""Monitoring of the robot: attitude, speed, tracking, motors and temperatures. Pure.
 
 docs/safety.md explains every threshold.
 """
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 __all__ = ["MOTOR_FAULTS", "RobotMonitor"]
 
-#: All but attitude and speed is checked this often, ns: nothing of it changes faster.
+#: Interval of the checks except attitude and speed, ns; the other values do not change faster.
 _PERIOD: Final = 20_000_000
-#: What a new measurement adds to the robot's time at most, ns: the longest step of the simulators.
+#: Maximum increment of the robot's time per measurement, ns: the longest step of the simulators.
 _MAX_STEP: Final = 5_000_000
-#: How often a jam is looked for, ns.
+#: Interval of the checks for a jam, ns.
 _JAM_PERIOD: Final = 100_000_000
-#: A supply voltage below the limit for this long is no dip, s.
+#: Time below the voltage limit after which it is not a short dip, s.
 _VOLTAGE_TIME: Final = 0.5
-#: A jammed joint has moved by less than this share of its target's motion.
+#: Share of its target's motion below which a joint counts as jammed.
 _JAM_SHARE: Final = 0.1
 _NEVER: Final = 1 << 62
 
@@ -63,10 +63,10 @@ MOTOR_FAULTS: Final = {
 
 
 class _Lasting:
-    """Since when a condition of each joint holds.
+    """Measures for how long a condition of each joint has been true.
 
     Args:
-        limit: for how long it may, s.
+        limit: maximum time, s.
     """
 
     def __init__(self, limit: float) -> None:
@@ -74,7 +74,7 @@ class _Lasting:
         self._since: Ints = np.full(N_JOINTS, _NEVER, np.int64)
 
     def beyond(self, now: int, holds: NDArray[np.bool_]) -> int | None:
-        """The joint of which the condition holds for longest, if that is too long."""
+        """The joint whose condition has been true for longest, if above the limit, or None."""
         if not holds.any():
             self._since[:] = _NEVER
             return None
@@ -84,16 +84,17 @@ class _Lasting:
 
 
 class RobotMonitor:
-    """Watches the robot from LowStates that are believed.
+    """Monitors the robot with plausible LowStates.
 
-    What has to last is measured in the robot's time. A simulator that a busy machine starves
-    repeats itself, and follows later: then this time stands still, for `safety.frozen_timeout`.
+    Durations are measured in the robot's time. A simulator without enough CPU time repeats its
+    LowState and catches up later. The robot's time stops meanwhile, for at most
+    `safety.frozen_timeout`.
 
     Args:
-        robot: its limits.
+        robot: the robot with its limits.
         config: the thresholds.
-        period: between two looks at LowState, ns.
-        held: (29,) which joints have a position servo, and so a target to follow; all if None.
+        period: time between two checks of LowState, ns.
+        held: (29,) joints with a position servo, which follow a target; None: all.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class RobotMonitor:
         self._recorded = 0
         self._content = b""
         self._changed = self._seen = self._next = 0
-        self._time = self._last = self._next_jam = 0  # of the robot
+        self._time = self._last = self._next_jam = 0  # in the robot's time
 
     def stop_reason(
         self, state: LowState, measured: Reading, now: int, target: Floats | None = None
@@ -130,9 +131,9 @@ class RobotMonitor:
 
         Args:
             state: a LowState.
-            measured: the same.
-            now: ns, monotonic.
-            target: (29,) rad, the joint targets now; None before the first command.
+            measured: the reading of the same LowState.
+            now: time, ns of the monotonic clock.
+            target: (29,) rad, the current joint targets; None before the first command.
         """
         if measured.content != self._content:
             self._time += min(now - self._changed, self._max_step)
@@ -208,8 +209,8 @@ class RobotMonitor:
         if joint is None:
             return ""
         return (
-            f"the motor of {self._names[joint]} is off (mode 0) though commanded on, one of "
-            f"{np.count_nonzero(modes == 0)} "
+            f"the motor of {self._names[joint]} is off (mode 0) although it is commanded on, one "
+            f"of {np.count_nonzero(modes == 0)} "
             f"(limit safety.motor_fault_time = {self._config.motor_fault_time:g} s)"
         )
 
@@ -234,8 +235,8 @@ class RobotMonitor:
         config = self._config
         return (
             f"{self._names[joint]} has {torque[joint]:.1f} N·m for more than "
-            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} N·m: "
-            f"safety.max_torque = {config.max_torque:g} of its own)"
+            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} N·m, "
+            f"safety.max_torque = {config.max_torque:g} times its torque limit)"
         )
 
     def _off_track(self, measured: Reading, target: Floats, passed: float) -> str:

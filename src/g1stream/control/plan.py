@@ -1,4 +1,4 @@
-"""What is about to be played, on what, and how: all that settings decide, found once."""
+"""The plan of a stream: motion, robot, gains and source, resolved from the settings."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ _LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Plan:
-    """What is about to be played, on what, and how. It is for one run: its source has a state.
+    """The motion, robot and settings of one run; its source has state, so it is used only once.
 
     Attributes:
         config: all settings in force.
         robot: the G1 whose limits and dynamics apply.
-        trajectory: of the motion as it is played.
-        interval: the part of it that is played.
-        slowed: factor by which the motion was slowed; 1 where it was not.
-        topic: of the commands.
-        gains: of the servos.
-        played: (29,) which joints play the motion.
-        held: (29,) which joints have a position servo.
-        source: of the torques or targets of commands.
-        events: what is to be logged about the motion, with the level.
+        trajectory: trajectory of the motion as it is played.
+        interval: the part of the trajectory that is played.
+        slowed: factor by which the motion was slowed down; 1 if it was not.
+        topic: topic of the commands.
+        gains: gains of the servos.
+        played: (29,) joints that play the motion.
+        held: (29,) joints with a position servo.
+        source: source of the torques or targets of commands.
+        events: log messages about the motion, with their levels.
     """
 
     config: Config
@@ -69,39 +69,39 @@ class Plan:
 
     @property
     def motion(self) -> Motion:
-        """As it is played."""
+        """The motion as it is played."""
         return self.trajectory.motion
 
     def summary(self) -> dict[str, float]:
-        """Fields of `StreamSummary` about what is played."""
+        """Fields of `StreamSummary` about the played motion."""
         return {"start_s": self.interval.start, "slowed": self.slowed}
 
     def session_info(self) -> SessionInfo:
-        """What a session file says of it before its first sample."""
+        """The metadata of a session file before its first sample."""
         return SessionInfo.from_config(
             self.config, self.robot, self.motion, self.gains._asdict(), self.source.about()
         )
 
     def log_events(self) -> None:
-        """Log what is to be known about the motion."""
+        """Log the events about the motion."""
         for level, text in self.events:
             _LOGGER.log(level, "%s", text)
 
 
 def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None = None) -> Plan:
-    """Find out what a motion and settings ask for; nothing is sent or written.
+    """Resolve a motion and settings into a plan; nothing is sent or written.
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
         config: all settings.
-        simulated: nothing but a simulator is reached, and settings hold as they are given; None: as
-            the interface says, which unset settings depend on, see `for_wire`.
+        simulated: only a simulator can be reached, and settings apply as given; None: determined
+            from the interface, which also determines unset settings, see `for_wire`.
 
     Raises:
-        ConfigError: a setting does not fit the others or the motion, or an extra is not installed.
-        MotionError: a file is no motion, or its joint angles cannot be radians.
+        ConfigError: a setting conflicts with others or the motion, or an extra is not installed.
+        MotionError: a file is not a motion, or its joint angles cannot be radians.
         SafetyError: the motion is beyond the robot's limits.
-        RobotError: there are no dynamics of this robot.
+        RobotError: there is no dynamics model of this robot.
     """
     if simulated is None:
         config = for_wire(config)

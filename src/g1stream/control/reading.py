@@ -1,4 +1,4 @@
-"""What the loop reads of a LowState; pure."""
+"""Readings: the values of a LowState that the loop uses."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["STALE", "ImuReading", "Reading", "all_finite", "is_unit", "ticks_between"]
 
 STALE: Final = 0.02
-"""No torque is computed from a LowState older than this, s: ten states at 500 Hz, in which a fast
-joint moves by 0.5 rad."""
+"""Maximum age of a LowState from which a torque is computed, s: ten states at 500 Hz, in which a
+fast joint moves by 0.5 rad."""
 
 
 class ImuReading(NamedTuple):
@@ -28,7 +28,7 @@ class ImuReading(NamedTuple):
     Attributes:
         quat_wxyz: (4,) pelvis to world.
         gyroscope: (3,) rad/s, pelvis frame.
-        accelerometer: (3,) m/s², pelvis frame, gravity included: upward 9.81 at rest.
+        accelerometer: (3,) m/s², pelvis frame, including gravity (9.81 upward at rest).
     """
 
     quat_wxyz: NDArray[np.floating]
@@ -38,21 +38,17 @@ class ImuReading(NamedTuple):
 
 @dataclass(frozen=True)
 class Reading:
-    """A LowState as far as the loop uses it; a copy.
+    """A copy of the values of a LowState that the loop uses.
 
     Attributes:
         q, dq, tau: (29,) rad, rad/s, N·m, motor order.
-        imu: in the pelvis.
+        imu: reading of the IMU in the pelvis.
         mode_machine: robot type.
         received: time of reception, ns of the loop's monotonic clock.
-        tick: ms of the robot's time; 0 from Unitree's Python simulator.
-        stamps: when it was published and when it was received, ns since the epoch; 0 where that is
-            not known.
-        content: the numbers above as bytes.
-        finite: none of them is NaN or infinite.
-
-    Torques are computed of `q`, `dq`, `tau` and `imu`; the checks need the others, but `stamps`,
-    which are for records.
+        tick: the robot's time, ms; 0 from Unitree's Python simulator.
+        content: `q`, `dq`, `tau` and `imu` as bytes.
+        finite: whether `q`, `dq`, `tau` and `imu` have no NaN or infinity.
+        stamps: publish time and reception time, ns since the epoch, for records; 0 if unknown.
     """
 
     q: NDArray[np.floating]
@@ -68,7 +64,7 @@ class Reading:
 
     @classmethod
     def from_low_state(cls, state: LowState, received: int) -> Reading:
-        """Copy a LowState that was received at `received`, ns."""
+        """Copy a LowState that was received at `received`, ns of the monotonic clock."""
         values = state.readings()
         return cls(
             values[:29],
@@ -85,12 +81,12 @@ class Reading:
 
 
 def ticks_between(before: int, after: int) -> int:
-    """Ms from one tick of LowState to another, which counts in 32 bits; negative: it went back."""
+    """Difference of two 32-bit ticks of LowState, ms; negative if the tick went back."""
     return (after - before + 2**31) % 2**32 - 2**31
 
 
 def all_finite(values: NDArray[np.floating]) -> bool:
-    """Whether no number of a short array is NaN or infinite: either one makes the sum so."""
+    """Whether a short array has no NaN or infinity; either one propagates to the sum."""
     return math.isfinite(sum(values.tolist()))
 
 

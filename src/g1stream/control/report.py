@@ -1,4 +1,4 @@
-"""The counters of a run, and the ticks that its loop misses."""
+"""Report of a run: counters, lateness, and ticks that the loop misses."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ __all__ = ["Lateness", "LoopReport", "Overruns"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: Missed ticks are counted over this time, and logged this often, ns.
+#: Time over which missed ticks are counted, and interval of their log messages, ns.
 _SECOND: Final = 1_000_000_000
-#: A servo holds its last target for that long without harm, ns; a longer overrun is a warning.
+#: Length of an overrun above which it is a warning, ns; a servo may hold its target this long.
 _LONG_OVERRUN: Final = 20_000_000
 
 
 class Lateness:
-    """A histogram of lateness in microseconds, of a size that does not grow with the run.
+    """A histogram of lateness in microseconds, of fixed size.
 
-    Bins are 1 us wide up to 20 ms; the last one holds everything later. The newest lateness and the
-    maximum are exact.
+    Bins are 1 us wide up to 20 ms; the last one contains all later ticks. The newest lateness and
+    the maximum are exact.
     """
 
     _BINS = 20_001
@@ -70,26 +70,25 @@ class Lateness:
 
 @dataclass
 class LoopReport:
-    """What happened in a run, whatever ended it: the loop's counters, and parts that know more.
+    """Counters of a run, however it ended, and the parts of the loop with further results.
 
     Attributes:
-        period: ns between deadlines.
-        schedule: has the way to the first frame, and why the run ended early.
-        limits: of the commands; they count what they have changed.
-        feedforward: what commands carried beside the position.
-        checks: count the LowStates that were dropped.
-        command_delay: longest time that commands waited in a queue of the robot's end; None: not
-            looked for.
-        commands: LowCmds written.
-        states: LowStates received, of those that were the newest at a tick.
+        period: time between deadlines, ns.
+        schedule: the ramp, and why the run ended early.
+        limits: limits of the commands, with counts of their changes.
+        feedforward: feed-forward of the commands.
+        checks: checks of LowState, with counts of the dropped ones.
+        command_delay: delay of commands in a queue of the receiver; None: not detected.
+        commands: number of LowCmds written.
+        states: number of LowStates that were the newest at a tick.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
         played: length of PLAY, ns; 0 until it ends.
-        delay: by which the motion ended later because of stalls, ns.
-        waited: by which it ended later because it kept to the robot's time, ns.
-        skipped: ticks left out because they were a whole period late or more.
+        delay: time by which the motion ended later because of stalls, ns.
+        waited: time by which it ended later because it follows the robot's time, ns.
+        skipped: number of ticks that were skipped because they were late by a period or more.
         worst_work: longest time from a write to the end of the tick's computation, ns.
-        lateness: of each write against its deadline.
-        error: between the references and the LowStates that were used, in PLAY.
+        lateness: lateness of each write relative to its deadline.
+        error: tracking error of the LowStates that were used in PLAY.
     """
 
     period: int
@@ -112,7 +111,7 @@ class LoopReport:
 
     @property
     def reason(self) -> str:
-        """Why the run ended early; empty while it goes on, and where the motion ended it."""
+        """Why the run ended early; "" during the run and after the end of the motion."""
         return self.schedule.state.reason
 
     @property
@@ -122,7 +121,7 @@ class LoopReport:
         return (self.commands - 1) * 1e9 / span if span > 0 else None
 
     def summary(self, **about: Any) -> StreamSummary:
-        """The counters as a record for people and files; `about` has fields of others."""
+        """The counters as a record for output and files; `about` has the remaining fields."""
         late, ramp, feed = self.lateness, self.schedule.ramp, self.feedforward
         percentiles = None
         if late.n:
@@ -161,10 +160,10 @@ class LoopReport:
 
 
 class Overruns:
-    """Counts ticks that were skipped because they were a whole period late or more.
+    """Counts ticks that were skipped because they were late by a period or more.
 
     Args:
-        period: ns between ticks.
+        period: time between ticks, ns.
         config: the thresholds.
     """
 
@@ -177,9 +176,9 @@ class Overruns:
         self._longest = self._logged = self._next_log = 0
 
     def count(self, now: int, skipped: int, phase: Phase) -> None:
-        """Take the number of ticks skipped so far, at `now`, ns, and log those that are new.
+        """Update the number of ticks skipped until `now`, ns, and log the new ones.
 
-        They are logged at once, then at most once a second; in DONE, all of them.
+        They are logged immediately, then at most once a second; in DONE, all of them are logged.
         """
         if new := skipped - self._skipped:
             self._skipped = skipped

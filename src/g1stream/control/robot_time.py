@@ -1,4 +1,4 @@
-"""The robot's time, which is not the clock's in a simulator that is short of CPU; pure."""
+"""The robot's time, which is slower than the clock in a simulator without enough CPU time. Pure."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ if TYPE_CHECKING:
 
 __all__ = ["RobotTime", "TimeScale"]
 
-#: By how much a motion may be ahead of the robot's time or behind it, ns: more than ticks jitter.
+#: Maximum difference of a motion from the robot's time, ns; above the jitter of ticks.
 _SLACK: Final = 10_000_000
-#: A motion that waited catches up by this in a tick at most, ns.
+#: Maximum time that a motion catches up in a tick after waiting, ns.
 _CATCH_UP: Final = 20_000_000
 _NS_PER_MS: Final = 1_000_000
 _STALE: Final = round(STALE * 1e9)
 
 
 class RobotTime:
-    """How long a motion has to wait, so that it keeps to the robot's time.
+    """Delays a motion so that it follows the robot's time.
 
-    The ticks of LowState count ms of that time: in Unitree's C++ simulator, in g1stream's and on
-    the robot. Where they stand still, as in Unitree's Python simulator, the time passes at the
-    measured scale, and not at all while no LowState arrives.
+    The ticks of LowState count ms of the robot's time in Unitree's C++ simulator, in g1stream's
+    and on the robot. If they do not change, as in Unitree's Python simulator, the time passes at
+    the measured scale, and it stops while no LowState arrives.
 
     Attributes:
-        delay: by which the motion is behind the clock, ns; it may become less again. Whoever delays
-            the motion for another reason adds to it.
+        delay: time by which the motion is behind the clock, ns; it may decrease again. Code that
+            delays the motion for another reason must add that time here.
     """
 
     def __init__(self) -> None:
         self.delay = 0
         self._last: Reading | None = None
         self._start: int | None = None
-        self._passed = 0  # of the robot's time since then
+        self._passed = 0  # the robot's time since then
         self._ticks = False
 
     def begin(self, now: int) -> None:
-        """The motion begins at `now`, ns."""
+        """Begin the motion at `now`, ns."""
         self.delay, self._start, self._passed = 0, now, 0
 
     def add(self, measured: Reading, scale: float) -> None:
-        """Take a LowState into account; `scale` is simulated over real time."""
+        """Process a LowState; `scale` is the ratio of simulated to real time."""
         last, self._last = self._last, measured
         if last is None:
             return
@@ -60,7 +60,7 @@ class RobotTime:
             self._passed += round(min(measured.received - last.received, _STALE) * scale)
 
     def wait(self, now: int) -> int:
-        """By how much the motion waits more than at the call before, ns; negative: less."""
+        """Change of `delay` since the last call, ns; negative if the motion catches up."""
         if self._start is None or self._last is None:
             return 0
         age = min(now - self._last.received, _SLACK)
@@ -71,33 +71,32 @@ class RobotTime:
 
 
 class TimeScale:
-    """How fast the robot's time passes: a simulator that is short of CPU is slower than the clock.
+    """Estimates the ratio of simulated to real time from measured joint positions and velocities.
 
-    Estimates simulated over real time from measured joint positions and velocities.
-
-    In a span of real time a joint moves by d, and its velocity, which is one of simulated time,
-    integrates to x over real time: d = r x. With exponential forgetting over spans,
+    A simulator without enough CPU time is slower than the clock. In a span of real time a joint
+    moves by d. Its velocity is measured in simulated time, and integrates to x over real time, so
+    d = r x with the ratio r. With exponential forgetting over spans,
 
         r = sum(d . d) / sum(d . x)
 
-    The displacement is the exact one of the two: the times at which velocities are sampled jitter,
-    so that the quotient sum(d . x) / sum(x . x) would be biased.
+    The displacement d is exact, but x is not, because the sampling times of velocities jitter.
+    Therefore the quotient sum(d . x) / sum(x . x) would be biased.
 
     Attributes:
-        value: the estimate r, within 0.5 and 1.05; 1 while nothing has moved.
+        value: the estimate r, within 0.5 and 1.05; 1 until something has moved.
     """
 
-    _SPAN: Final = 0.1  # s: a simulator that stalls and catches up does both within it
-    #: A span with a longer gap between readings is not used, s. Shorter ones are: a simulator that
-    #: stalls and then catches up must be counted whole.
+    _SPAN: Final = 0.1  # s; a simulator stalls and catches up within this time
+    #: Gap between readings above which a span is not used, s. Shorter gaps are used, because a
+    #: stall must be counted together with the catching up.
     _GAP: Final = 0.2
     #: Time constant of forgetting, s.
     _MEMORY: Final = 1.0
-    #: Weight of r = 1 in both sums, rad²: far above the noise of encoders at rest.
+    #: Weight of r = 1 in both sums, rad²; far above the noise of encoders at rest.
     _PRIOR: Final = 1e-3
     _LOWEST: Final = 0.5
     _HIGHEST: Final = 1.05  # no simulator is faster than the clock for long
-    #: Estimates that are kept for the median: an hour of them.
+    #: Number of estimates that are kept for the median; an hour.
     _KEPT: Final = 36_000
 
     def __init__(self) -> None:
@@ -122,7 +121,7 @@ class TimeScale:
 
     @property
     def median(self) -> float | None:
-        """Of the estimates so far; None before the first one."""
+        """Median of the estimates so far; None before the first one."""
         return median(self._estimates) if self._estimates else None
 
     def _begin(self, time: float, q: Floats, dq: Floats) -> None:

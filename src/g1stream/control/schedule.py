@@ -1,11 +1,11 @@
-"""The phases of a session, and its target at any time; pure.
+"""The phases of a session, and the target at any time. Pure.
 
     WAIT ──> RAMP ──> PLAY ──> HOLD ──> DAMP ──> DONE
       │        └────────┴────────┴───────^         ^
       └────────────────────────────────────────────┘  (before the first command)
 
-Whatever ends a session after its first command, an error, a signal or a watchdog, passes through
-DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic clock.
+After its first command, every session ends through DAMP, including after an error, a signal or a
+timeout. Time is an argument, in integer nanoseconds of one monotonic clock.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: What RAMP waits for is said again after this, ns.
+#: Interval between log messages about what RAMP waits for, ns.
 _TOLD_AGAIN: Final = 3_000_000_000
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
@@ -36,11 +36,11 @@ _FOREVER: Final = 1 << 62
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the state machine is told at a tick.
+    """Inputs of the state machine at a tick.
 
     Attributes:
-        missing: what the first command still waits for; empty if nothing.
-        stop: why the session must end now; empty if it may continue.
+        missing: why the first command has to wait, or "".
+        stop: why the session must end now, or "".
     """
 
     missing: str = ""
@@ -49,7 +49,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class PhaseState:
-    """The phase, when it began (ns), and why the session ends early ("" if it does not)."""
+    """The phase, its start time (ns), and why the session ends early ("" if it does not)."""
 
     phase: Phase
     since: int
@@ -61,11 +61,11 @@ class PhaseState:
 
 
 def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
-    """The state at `now`.
+    """Advance the state machine to `now`, and return its state.
 
-    A phase with a fixed length ends exactly then, and the next one begins there, so that a late
-    tick shifts nothing. Several short phases may pass in one step, but DAMP begins at `now`: it
-    lasts its full time however late the tick is.
+    A phase with a fixed length ends exactly after this length, and the next one begins there, so
+    that late ticks do not shift the phases. Several short phases may pass in one step. DAMP begins
+    at `now`, so that it lasts its full time however late the tick is.
     """
     if inputs.stop and state.phase < Phase.DAMP:
         after = Phase.DONE if state.phase is Phase.WAIT else Phase.DAMP
@@ -99,17 +99,17 @@ def _end_of(state: PhaseState, timing: Timing) -> int | None:
 
 
 class Schedule:
-    """The phase of a session, its lengths, and its targets. All times are ns of one clock.
+    """The current phase of a session, and its targets. All times are ns of one clock.
 
     Args:
-        targets: the target of each phase.
-        timing: length of each phase; of RAMP, the shortest.
-        period: between commands.
-        ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
+        targets: the targets of the phases.
+        timing: length of each phase; for RAMP, the minimum.
+        period: time between commands.
+        ramp_speed: maximum joint speed on the way to the first frame, rad/s.
 
     Attributes:
-        state: the current phase. It may be set.
-        delayed: by which all phases so far ended later, ns.
+        state: the current phase; it can be set.
+        delayed: total delay of the phases so far.
         ramp: the way to the first frame; None until RAMP begins.
     """
 
@@ -120,7 +120,7 @@ class Schedule:
         self._timing = timing
         self._period = period
         self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
-        self._told = -_TOLD_AGAIN  # when in RAMP it was said that it waits
+        self._told = -_TOLD_AGAIN  # time in RAMP of the last log message about waiting
         self.state = PhaseState(Phase.WAIT, 0)
         self.delayed = 0
         self.ramp: Ramp | None = None
@@ -132,12 +132,12 @@ class Schedule:
 
     @property
     def play(self) -> int | None:
-        """Length of PLAY; None: without end."""
+        """Length of PLAY; None if it has no end."""
         return self._timing.play
 
     @property
     def wait(self) -> int:
-        """The longest that WAIT may last."""
+        """Maximum length of WAIT."""
         return self._timing.wait
 
     @property
@@ -146,24 +146,24 @@ class Schedule:
         return self._timing.damp
 
     def advance(self, now: int, inputs: Inputs) -> None:
-        """Go on to the phase at `now`."""
+        """Advance to the phase at `now`."""
         self.state = step(now, self.state, inputs, self._timing)
 
     def delay(self, gap: int) -> None:
-        """The phase ends later by `gap`."""
+        """Extend the current phase by `gap`."""
         if gap:
             self.state = replace(self.state, since=self.state.since + gap)
             self.delayed += gap
 
     def begin_ramp(self, q: NDArray[np.floating]) -> None:
-        """RAMP begins at the measured pose `q` (29,), rad."""
+        """Begin RAMP at the measured pose `q` (29,), rad."""
         distance = self._targets.begin(q)
         self.ramp = Ramp.for_distance(distance, self._least_ramp, self._ramp_speed)
         self._timing = replace(self._timing, ramp=self.ramp.length, awaited=0)
         self._told = -_TOLD_AGAIN
 
     def wait_in_ramp(self, now: int, awaited: str) -> None:
-        """Let RAMP end, at rest, no earlier than what is `awaited` has come; "" if nothing is."""
+        """Extend RAMP at the first frame while it waits for `awaited`; "" ends the waiting."""
         elapsed = self.state.elapsed(now)
         longer = elapsed + self._period + COAST_NS - self._timing.ramp
         if not awaited or self.state.reason or longer <= self._timing.awaited:
@@ -174,16 +174,16 @@ class Schedule:
         self._timing = replace(self._timing, awaited=longer)
 
     def go_down(self, now: int, reason: str, last: Target, *, stands: bool) -> bool:
-        """End with the way down, now or as soon as it is possible; False if there is none.
+        """End with the way down, as soon as it is possible; False if there is none.
 
-        To be called at every tick until the end. From RAMP a robot can go down if it `stands`: RAMP
-        waits no longer, and PLAY has no length.
+        Call it at every tick until the end. In RAMP, a robot can go down only if it `stands`. Then
+        RAMP stops waiting, and PLAY is skipped.
 
         Args:
             now: the time.
             reason: why the session ends.
             last: the newest target.
-            stands: whether the robot is on its feet in RAMP already.
+            stands: whether the robot is already on its feet in RAMP.
         """
         state, way_down = self.state, self._targets.way_down
         phases = (Phase.RAMP, Phase.PLAY, Phase.HOLD) if stands else (Phase.PLAY, Phase.HOLD)
@@ -199,17 +199,17 @@ class Schedule:
         return True
 
     def ramped(self, now: int) -> float:
-        """Share of the time of the way to the first frame that has passed, 0 to 1."""
+        """Progress of the ramp as a share of its time, 0 to 1; 1 in other phases."""
         if self.state.phase is not Phase.RAMP:
             return 1.0
         return min(1.0, self.state.elapsed(now) / self._timing.ramp)
 
     def target(self, now: int, last: Target) -> Target:
-        """The target at a time in the current phase; `last` is the one before it."""
+        """The target at a time in the current phase; `last` is the previous target."""
         return self._targets.at(self.state.phase, self.state.elapsed(now), self._timing, last)
 
     def target_ahead(self, then: int, last: Target) -> Target:
-        """The target at a later time, in the phase of that time, if the session continues."""
+        """The target at a later time, in the phase of that time if the session continues."""
         endless = replace(self._timing, way_down=_FOREVER)
         state = step(then, self.state, Inputs(), endless)
         return self._targets.at(state.phase, state.elapsed(then), self._timing, last)

@@ -1,7 +1,7 @@
 """Sources of a command's torque or target: the interface, the table, and that of a held robot.
 
-A source that is an extra has a row in `SOURCES`, and is imported only where a setting asks for it.
-Pure but for that.
+A source that is an extra has a row in `SOURCES`, and is imported only if a setting selects it. The
+rest is pure.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ SOURCES: Final = {
     "feet": "g1stream.extras.feet.source:StandingTorques",
     "policy": "g1stream.extras.policy.source:PolicyTargets",
 }
-"""By `stream.support`, and for a `stream.policy`: module and class of a source that is an extra. To
-add one, add a row.
+"""Sources that are extras, as `module:class`, by `stream.support`, and `policy` for
+`stream.policy`.
 
-The class takes what `load_source` takes."""
+To add one, add a row. The class takes the same arguments as `load_source`."""
 
-#: The revision of the robot is decided on when this share of RAMP has passed.
+#: Share of RAMP after which the revision of the robot is chosen.
 _DECISION: Final = 0.8
 
 
 class Moment(NamedTuple):
-    """When a command is asked for, and for what.
+    """Inputs for a command: phase, target and measurements.
 
     Attributes:
         phase: RAMP, PLAY or HOLD.
-        ramped: share of the time of the way to the first frame that has passed; 1 after it.
+        ramped: progress of the ramp as a share of its time; 1 after it.
         target: the desired state when the command takes effect.
         measured: the newest LowState.
-        age: s since that was received.
-        time: s of the motion's clock, which goes on in HOLD, and stands still while the motion
+        age: time since the reception of `measured`, s.
+        time: time of the motion's clock, s, which continues in HOLD and stops while the motion
             waits.
-        tick: number of the Reference that is published with it.
-        clock: tells the time, ns, as of `measured.received`, to measure how long something takes.
+        tick: number of the Reference that is published with the command.
+        clock: returns the time, ns of the clock of `measured.received`, to measure durations.
     """
 
     phase: Phase
@@ -70,25 +70,25 @@ class Moment(NamedTuple):
 
 
 class Source:
-    """Adds torque to the target of each command, or replaces it; this one leaves it as it is.
+    """Adds torque to the target of each command, or replaces it; the base class changes nothing.
 
-    A source is made before anything is sent, for one run, and raises where it cannot do what the
-    settings ask. `change` is called once, then `begin` once, then in each tick `observe` for the
-    newest LowState and `command` for the command of the next tick. All of it runs in the loop's
-    thread: `command` may compute anew at a rate of its own, and repeat itself in between. What it
-    returns is kept within the limits, and the Reference shows the target that it was given.
+    A source is made for one run before anything is sent. It raises an error if it cannot fulfil the
+    settings. `change` is called once, then `begin` once, then in each tick `observe` for the newest
+    LowState and `command` for the command of the next tick. All calls are in the loop's thread.
+    `command` may compute at a lower rate, and return the same target in between. Its result is kept
+    within the limits. The Reference has the target that was passed to `command`.
 
     Attributes:
-        gains: that the targets of this source need; None: those of the config.
-        needed: the robot falls without this torque, so that the run ends where it has faded out.
-        support: of the robot, where that is not asked for; None: as the bridge announces.
-        lift: m by which the pelvis is higher when RAMP begins.
-        in_steps: its targets are computed at a lower rate than commands, for their torque.
-        way_down: with which HOLD ends; None: it only rests.
-        own_time: the motion keeps to the robot's time, and waits where a simulator stalls.
-        reference_only: the motion is followed and not commanded, so that its limits do not matter;
-            `change` returns the part of it that the settings ask for.
-        tells: topic of what it tells of its commands; None: nothing.
+        gains: gains for the targets of this source; None: those of the config.
+        needed: the robot falls without this torque, so the run ends when it has faded out.
+        support: default support of the robot; None: as the bridge announces.
+        lift: height of the pelvis above its target when RAMP begins, m.
+        in_steps: targets are computed at a lower rate than commands, for their torque.
+        way_down: motion with which HOLD ends; None: no motion.
+        own_time: the motion follows the robot's time, and waits while a simulator stalls.
+        reference_only: the motion is not commanded directly, so its limits are not checked;
+            `change` returns the part of it that the settings select.
+        tells: topic of the source's messages about its commands; None without messages.
     """
 
     gains: Gains | None = None
@@ -103,94 +103,97 @@ class Source:
 
     @property
     def name(self) -> str | None:
-        """Of the robot's model; None without one."""
+        """Name of the robot's model; None without a model."""
         return None
 
     @property
     def fault(self) -> str:
-        """Why this torque is wrong, so that it has to fade out; "" while it is right."""
+        """Why this torque is wrong and has to fade out, or ""."""
         return ""
 
     @property
     def fall(self) -> str:
-        """Why the robot has to be damped at once; "" while it need not."""
+        """Why the robot has to be damped immediately, or ""."""
         return ""
 
     @property
     def awaited(self) -> str:
-        """What RAMP waits for; "" where it need not wait."""
+        """The event that RAMP waits for; "" if it need not wait."""
         return ""
 
     @property
     def stands(self) -> bool:
-        """Whether the robot is on its feet in RAMP already, so that it can go down from there."""
+        """Whether the robot is already on its feet in RAMP, so that it can go down from there."""
         return False
 
     @property
     def summary(self) -> BalanceSummary | None:
-        """How near a robot on its feet was to falling; None for one that is held."""
+        """Balance margins of a robot on its feet; None for a robot that is held."""
         return None
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
-        """The motion as it can be played, before its limits are checked, and what was changed.
+        """Adapt the motion for this source, before its limits are checked.
+
+        Returns:
+            The motion as it can be played, and a sentence about the changes.
 
         Raises:
-            ConfigError: the settings ask for a part that is not within the motion.
-            MotionError: it cannot be played.
+            ConfigError: the settings select a part that is not within the motion.
+            MotionError: the motion cannot be played.
         """
         return motion, ""
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
-        """RAMP begins.
+        """Prepare for the support of the robot when RAMP begins.
 
         Args:
             support: how the robot is held.
             announced: the support that the bridge announces; None if it does not.
-            robot: the name of the robot that it announces; None if it does not.
+            robot: the name of the robot that the bridge announces; None if it does not.
 
         Raises:
-            ConfigError: there is no torque for how the bridge holds the robot.
+            ConfigError: there is no torque for this support.
         """
 
     def ramp_to(self, first: Target) -> None:
-        """RAMP begins, or begins anew, to the first target of PLAY."""
+        """Prepare for a RAMP, or a restarted RAMP, to the first target of PLAY."""
 
     def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
-        """Take a LowState into account; `scale` is simulated over real time."""
+        """Process a LowState; `scale` is the ratio of simulated to real time."""
 
     def command(self, moment: Moment) -> Target:
-        """The target of a command, with its torque; that of the servos comes on top."""
+        """The target of a command, with feed-forward torque, which is added to the servos'."""
         return moment.target
 
     def repeated(self, target: Target) -> Target:
-        """The target of a command where nothing new can be computed, without torque."""
+        """The target of a command, without torque, if nothing new can be computed."""
         return target
 
     def told(self) -> bytes:
-        """A message on the topic that it `tells` of what was computed since the last call, or b"".
+        """A message on the topic `tells` about the computation since the last call, or b"".
 
-        It is published with the command that was computed of it.
+        It is published with the command that resulted from the computation.
         """
         return b""
 
     def about(self) -> PolicyInfo | None:
-        """What a session says of the policy that its targets are of."""
+        """Metadata of the policy that computes the targets; None without a policy."""
         return None
 
 
 def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:
-    """The source that a config asks for.
+    """Load the source that a config selects.
 
     Args:
         config: the settings in force.
         robot: the robot.
-        simulated: nothing but a simulator is reached.
+        simulated: only a simulator can be reached.
         complete: every joint gets its torque.
 
     Raises:
-        ConfigError: it is not installed, or the settings do not go with it.
-        SafetyError: it may not be used on a robot.
-        RobotError: there are no dynamics of this robot.
+        ConfigError: the source is not installed, or conflicts with other settings.
+        SafetyError: the source may not be used on a robot.
+        RobotError: there is no dynamics model of this robot.
     """
     settings = config.stream
     if place := SOURCES.get("policy" if settings.policy else settings.support or ""):
@@ -208,19 +211,19 @@ def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -
 
 
 def other_revision(robot: G1) -> G1 | None:
-    """The G1 of another revision, where a robot may be either; None where it is known."""
+    """The G1 of the other revision if the revision is unknown; None if it is known."""
     return G1.load(REVISIONS[1]) if robot is G1.default() else None
 
 
 class HeldTorques(Source):
-    """The inverse dynamics of the reference for a robot that is held in a known way.
+    """Torques from inverse dynamics of the reference, for a robot with a known support.
 
     Args:
-        dynamics: the model.
-        alternative: another model, of another revision of the robot. During RAMP the measured
-            torques are compared with both, and the one that fits better is used from then on.
-        period: s between commands.
-        complete: every joint gets its torque; otherwise the revisions cannot be told apart.
+        dynamics: the model of the robot.
+        alternative: the model of another revision of the robot. During RAMP the measured torques
+            are compared with both models, and the better one is used afterwards.
+        period: time between commands, s.
+        complete: every joint gets its torque; otherwise the revision cannot be detected.
     """
 
     def __init__(
@@ -247,7 +250,7 @@ class HeldTorques(Source):
 
     @property
     def fault(self) -> str:
-        """That the robot is not held as assumed, or ""."""
+        """Why the robot cannot be held as assumed, or ""."""
         wrong = self._check and self._check.wrong
         support = self._support
         return (
@@ -256,7 +259,7 @@ class HeldTorques(Source):
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if support == "feet":
-            raise ValueError("nothing holds a robot on its feet")
+            raise ValueError("support feet needs the source of the extra `feet`")
         self._support, self._trusted = support, support == announced
         if announced and not self._trusted:
             _LOGGER.warning(
@@ -272,9 +275,9 @@ class HeldTorques(Source):
         self._use(self._dynamics)
 
     def _use(self, dynamics: InverseDynamics) -> None:
-        """Compute torques with this model, and check the support by it."""
+        """Compute torques and check the support with this model."""
         self._dynamics = dynamics
-        # What the bridge announces about itself needs no check.
+        # A support that the bridge announces needs no check.
         self._check = None if self._trusted else SupportCheck(dynamics, self._support)
         if self._support == "hanging":
             self._observer = ForceObserver(dynamics, self._period)
@@ -304,14 +307,14 @@ class HeldTorques(Source):
         return target._replace(tau=solution.tau)
 
     def _decide(self, position: float | None) -> None:
-        """Continue with the model that the measured torques are nearer to."""
+        """Continue with the model that is closer to the measured torques."""
         first, second = self._dynamics, self._alternative
         if second is None:
             return
         if position is not None and position > 0.5:
             self._use(second)
         why = (
-            "too little is known of its torques to tell"
+            "the measured torques are too few to detect the revision"
             if position is None
             else f"measured torques at {position:.2f}, {first.name} at 0, {second.name} at 1"
         )

@@ -1,4 +1,4 @@
-"""What measurements show about the robot: how it is held, and which revision it is; pure."""
+"""Detect the support and the revision of the robot from measurements. Pure."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 
 __all__ = ["ForceObserver", "RevisionFit", "SupportCheck"]
 
-#: Of a measured torque from that of the true model, N·m.
+#: Standard deviation of a measured torque from that of the true model, N·m.
 _DEVIATION: Final = 0.15
 
 
 class ForceObserver:
     """Estimates the force that carries a hanging robot, from the pelvis's accelerometer.
 
-    A band that stretches and swings exerts more than the weight, and not only upward. The measured
-    acceleration differs from the model's prediction by the error of the force divided by the mass;
-    a fraction of that is added to the estimate at every tick (a disturbance observer, K. Ohnishi
-    1987).
+    The force of a band that stretches and swings differs from the weight in size and direction. The
+    measured acceleration differs from the model's prediction by the force error divided by the
+    mass. A fraction of this difference corrects the estimate at every tick (a disturbance observer,
+    K. Ohnishi 1987).
 
     Args:
-        dynamics: the model whose solutions are compared.
-        period: s between updates.
+        dynamics: the model that predicts the acceleration.
+        period: time between updates, s.
     """
 
-    #: Time constant, s: above the noise and delay of an IMU, below the swing of a band.
+    #: Time constant, s; above the noise and delay of an IMU, and below the swing of a band.
     _TIME: Final = 0.05
-    #: The estimate differs from the weight by at most this many times the weight.
+    #: Maximum difference of the estimate from the weight, in multiples of the weight.
     _REACH: Final = 1.0
 
     def __init__(self, dynamics: InverseDynamics, period: float) -> None:
@@ -51,8 +51,8 @@ class ForceObserver:
         self._expected: list[Floats] = []
 
     def update(self, imu: ImuReading) -> Floats:
-        """The estimated force (3,), N, world, after another reading."""
-        # A reading shows the effect of the command before the last one.
+        """Update the estimate with a reading; return the force (3,), N, world."""
+        # A reading shows the effect of the last command but one.
         if len(self._expected) == 2:
             wrong = imu.accelerometer - self._expected.pop(0)
             self._error += self._gain * quat_rotate(imu.quat_wxyz.astype(np.float64), wrong)
@@ -66,25 +66,25 @@ class ForceObserver:
 
 
 class SupportCheck:
-    """Detects that the robot does not move as the assumed support lets it.
+    """Detects that the robot does not move as the assumed support allows.
 
-    A change that is measured over windows of 60 ms is compared with its prediction:
+    It compares a change, measured over windows of 60 ms, with its prediction:
 
-    - hanging: the angular momentum about the centre of mass, from joints and IMU, with the moment
-      of a force at the torso's centre of mass. The force is that of the whole robot's linear
-      momentum, from joints and accelerometer, averaged. Forces between links, self-contact for
-      one, change neither momentum.
-    - free: the angular momentum, with that of no force.
-    - bolted: the angular velocity of the pelvis, with that of rest.
-    - follow: the angular velocity of the pelvis, with that of the reference.
+    - hanging: the angular momentum about the centre of mass, from joints and IMU, is compared with
+      the moment of a force at the torso's centre of mass. The force comes from the linear momentum
+      of the whole robot, from joints and accelerometer, averaged. Forces between links, such as
+      self-contact, change neither momentum.
+    - free: the angular momentum is compared with the one without a force.
+    - bolted: the angular velocity of the pelvis is compared with zero.
+    - follow: the angular velocity of the pelvis is compared with that of the reference.
 
-    A support is wrong if the prediction misses most of the change for two seconds on end, where
-    anything moves. In simulation, unitree_mujoco's included, the correct support misses less than a
-    quarter of it, and a wrong one most of it, or more.
+    A support is wrong if the prediction misses most of the change for two seconds in a row while
+    anything moves. In simulation, including unitree_mujoco, the correct support misses less than a
+    quarter of the change, and a wrong one most of it or more.
 
     Args:
-        dynamics: the model.
-        support: as assumed.
+        dynamics: the model of the robot.
+        support: the assumed support.
 
     Attributes:
         wrong: whether the support was found to be wrong; stays True.
@@ -92,19 +92,19 @@ class SupportCheck:
 
     _STEP: Final = 0.0095  # s between evaluations
     _WINDOW: Final = 0.06  # s
-    _SPAN: Final = 16  # windows that are judged together
-    _SPANS: Final = 2  # of them in a row that must fail
-    #: A window with a longer gap between readings is not used, s.
+    _SPAN: Final = 16  # windows that are evaluated together
+    _SPANS: Final = 2  # spans in a row that must fail
+    #: Gap between readings above which a window is not used, s.
     _GAP: Final = 0.03
-    #: Change that is not judged, per window: N·m·s of the momentum, rad/s of the pelvis.
+    #: Change per window that is ignored: N·m·s of the momentum, rad/s of the pelvis.
     _FLOOR: Final = MappingProxyType({"hanging": 0.1, "free": 0.1, "bolted": 0.03, "follow": 0.03})
-    #: The force that carries a hanging robot is averaged over about these times, s, and the one
-    #: that explains more counts: an accelerometer misses much of an impact when LowState is late or
-    #: repeated, and a force that swings fast is lost in a long average.
+    #: Time constants of two averages of the force that carries a hanging robot, s. The average that
+    #: explains more of the change is used. A short one misses much of an impact when LowState is
+    #: late or repeated, and a long one misses a force that swings fast.
     _AVERAGES: Final = np.array([[0.03], [0.15]])
-    #: The part of a window by which a simulator's time may differ from what it should be.
+    #: Maximum deviation of a simulator's time from the clock, as a share of a window.
     _STALL: Final = 0.5
-    #: Fraction of the change that a correct model may miss.
+    #: Share of the change that a correct model may miss.
     _UNEXPLAINED: Final = 0.5
 
     def __init__(self, dynamics: InverseDynamics, support: Support) -> None:
@@ -125,7 +125,7 @@ class SupportCheck:
         """Add a reading.
 
         `expected` is the angular velocity (3,) of the pelvis in the reference, rad/s; `scale` is
-        simulated over real time.
+        the ratio of simulated to real time.
         """
         time, imu = measured.received / 1e9, measured.imu
         if not 0.0 <= time - self._received <= self._GAP:
@@ -150,7 +150,7 @@ class SupportCheck:
     def _evaluate(
         self, measured: Reading, expected: Floats, passed: float
     ) -> tuple[Floats, Floats]:
-        """The quantity that is compared, and its predicted change since the last evaluation."""
+        """The compared quantity, and its predicted change since the last evaluation."""
         imu = measured.imu
         rate = imu.gyroscope.astype(np.float64)
         if self._support in ("bolted", "follow"):
@@ -175,7 +175,7 @@ class SupportCheck:
         self._predicted, self._carried = np.zeros(3), np.zeros((2, 3))
 
     def _judge(self, change: Floats) -> None:
-        # A simulator that stalls, or catches up, has not taken the time that has passed.
+        # In a simulator that stalls or catches up, another time has passed than on the clock.
         left = change - self._predicted
         square = np.maximum((self._carried**2).sum(axis=1), 1e-12)
         taken = np.clip(self._carried @ left / square, 1.0 - self._STALL, 1.0 + self._STALL)
@@ -191,14 +191,14 @@ class SupportCheck:
 
 
 class _Window(NamedTuple):
-    """The means of some readings.
+    """Mean values of the readings in a window.
 
     Attributes:
         q, dq, ddq, tau: (29,) rad, rad/s, rad/s², N·m, motor order.
         quat_wxyz: (4,) pelvis to world.
-        rate: (3,) rad/s, of the gyroscope.
-        specific: (3,) m/s², of the accelerometer.
-        friction: (29,) N·m, by which the mean friction differs from that at the mean speed.
+        rate: (3,) gyroscope, rad/s.
+        specific: (3,) accelerometer, m/s².
+        friction: (29,) mean friction minus the friction at the mean speed, N·m.
     """
 
     q: Floats
@@ -212,9 +212,9 @@ class _Window(NamedTuple):
 
     @classmethod
     def from_readings(cls, readings: Sequence[Reading], passed: float) -> _Window | None:
-        """The means of readings over `passed` s of the robot's time.
+        """Average readings over `passed` s of the robot's time; None if a value is not finite.
 
-        The acceleration is the change of velocity. None if a value is not finite.
+        The acceleration is the change of velocity.
         """
         rows = [(one.q, one.dq, one.tau, *one.imu) for one in readings]
         columns = [np.array(column, np.float64) for column in zip(*rows, strict=True)]
@@ -237,14 +237,14 @@ class _Window(NamedTuple):
 
     @property
     def deviation(self) -> Floats:
-        """(29,) N·m, that of a measured torque: for a joint that hardly moves, its dry friction."""
+        """(29,) standard deviation of the torque, N·m, with the dry friction of slow joints."""
         stuck = FRICTION * (1.0 - np.tanh(np.abs(self.dq) / STICTION_SPEED))
         return np.hypot(_DEVIATION, stuck)
 
     def solve(self, model: InverseDynamics, support: Support) -> Iterator[Floats]:
-        """Predicted torques (29,), N·m, better with each iteration; the last one counts.
+        """Predict torques (29,), N·m, iteratively; the last one is the result.
 
-        The force that carries a hanging robot becomes that which the accelerometer shows.
+        For a hanging robot, the iterations adapt the carrying force to the accelerometer.
         """
         base = BaseMotion(self.quat_wxyz, self.rate)
         force = np.array([0.0, 0.0, model.mass * model.gravity])
@@ -258,24 +258,25 @@ class _Window(NamedTuple):
 class RevisionFit:
     """Compares measured torques with the inverse dynamics of two models.
 
-    Readings are averaged over windows, whose mean acceleration is the change of velocity; a hanging
-    robot is carried by the force that its accelerometer shows. The torques that the models predict,
-    t1 and t2, and the measured ones, t, give the position of t between the two, by least squares
-    over all joints and windows:
+    Readings are averaged over windows, with the change of velocity as mean acceleration. For a
+    hanging robot, the carrying force is adapted to the accelerometer. The predicted torques t1 and
+    t2 of the models and the measured torques t give the position a of t between the models, by
+    least squares over all joints and windows:
 
         a = sum((t - t1) . (t2 - t1) / s²) / sum((t2 - t1)² / s²)
 
-    It is 0 for the first model and 1 for the second. s is the deviation of a measured torque.
+    It is 0 for the first model and 1 for the second. s is the standard deviation of a measured
+    torque.
 
     Args:
         support: how the robot is held.
-        models: the two.
+        models: the two models.
     """
 
     _WINDOW: Final = 0.1  # s
-    _GAP: Final = 0.03  # s between readings, beyond which a window is not used
-    _FEWEST: Final = 8  # readings in a window
-    #: The least information that decides, 1 / variance of a.
+    _GAP: Final = 0.03  # s between readings, above which a window is not used
+    _FEWEST: Final = 8  # minimum number of readings in a window
+    #: Minimum information for a decision, 1 / variance of a.
     _ENOUGH: Final = 10.0
 
     def __init__(self, support: Support, models: tuple[InverseDynamics, InverseDynamics]) -> None:
@@ -288,14 +289,14 @@ class RevisionFit:
 
     @property
     def position(self) -> float | None:
-        """Where the measured torques are, 0 at the first model and 1 at the second; if known."""
+        """Position of the measured torques: 0 first model, 1 second model, None unknown."""
         known = self._information > self._ENOUGH
         return self._products / self._information if known else None
 
     def add(self, measured: Reading, scale: float = 1.0) -> None:
-        """Add a reading; at most one model is solved for in a call.
+        """Add a reading; each call computes at most one solution of a model.
 
-        `scale` is simulated over real time.
+        `scale` is the ratio of simulated to real time.
         """
         next(self._work, None)
         time = measured.received / 1e9
@@ -310,7 +311,7 @@ class RevisionFit:
             self._readings, self._start = self._readings[-1:], time
 
     def _evaluate(self, readings: list[Reading], passed: float) -> Iterator[None]:
-        """Compare a window, in steps of one solution each."""
+        """Compare a window with both models, with one solution per step."""
         window = _Window.from_readings(readings, passed)
         if window is None:
             return

@@ -1,4 +1,4 @@
-"""What is asked of each joint and the root in each phase, at any time; pure."""
+"""Targets of all joints and the root at any time of each phase. Pure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOWERED: Final = 0.9
 """Share of RAMP in which a lifted pelvis is lowered."""
 
 COAST_NS: Final = round(COAST * 1e9)
-"""In this time, ns, a velocity is built up at the end of RAMP, and dies away in HOLD."""
+"""Time, ns, in which the velocity rises at the end of RAMP, and falls to zero in HOLD."""
 
 _NO_MOTION: Final = np.zeros(3)
 _NO_TORQUE: Final = np.zeros(N_JOINTS)
@@ -37,10 +37,10 @@ for _zeros in (_NO_MOTION, _NO_TORQUE):
 
 
 class Target(NamedTuple):
-    """The desired state of joints and root at one instant; its arrays are not written to.
+    """The desired state of joints and root at one instant; its arrays are read-only.
 
     Attributes:
-        motion_time: s since the motion's first frame.
+        motion_time: time since the motion's first frame, s.
         q, dq, ddq, tau: (29,) rad, rad/s, rad/s^2, N·m, motor order.
         root_pos: (3,) m, world.
         root_quat_wxyz: (4,) pelvis to world.
@@ -65,7 +65,7 @@ class Target(NamedTuple):
 
     @classmethod
     def from_point(cls, time: float, point: TrajectoryPoint) -> Target:
-        """The target at motion time `time`, s, from a sample of the trajectory; zero torque."""
+        """Make a target at motion time `time`, s, from a trajectory sample, with zero torque."""
         for array in point:
             array.setflags(write=False)  # one target is shared by several callers
         return cls(
@@ -83,7 +83,7 @@ class Target(NamedTuple):
         )
 
     def slowed(self, scale: float) -> Target:
-        """The target in a time that passes `scale` times as fast; the same object if that is 1."""
+        """The target with rates divided by a time scale; the same object if the scale is 1."""
         if scale == 1.0:
             return self
         per_s, per_s2 = 1.0 / scale, 1.0 / scale**2
@@ -113,9 +113,9 @@ class Ramp(NamedTuple):
     """The way from the measured pose to the first frame.
 
     Attributes:
-        length: ns.
-        joint: the one with the longest way.
-        distance: of that joint, rad, signed.
+        length: duration, ns.
+        joint: the joint with the longest distance.
+        distance: signed distance of that joint, rad.
     """
 
     length: int
@@ -124,17 +124,17 @@ class Ramp(NamedTuple):
 
     @property
     def peak_speed(self) -> float:
-        """Highest speed of that joint, rad/s; its speed at the first frame comes on top."""
+        """Maximum speed of that joint, rad/s, without its speed at the first frame."""
         return MINIMUM_JERK_PEAK * abs(self.distance) / (self.length / 1e9)
 
     @classmethod
     def for_distance(cls, distance: Floats, least: int, speed: float) -> Ramp:
-        """The shortest ramp of at least `least` ns in which no joint passes `speed`, rad/s.
+        """Make the shortest ramp within a minimum duration and a maximum joint speed.
 
         Args:
             distance: (29,) from the measured pose to the first frame, rad.
-            least: ns.
-            speed: rad/s.
+            least: minimum duration, ns.
+            speed: maximum joint speed, rad/s.
         """
         joint = int(np.abs(distance).argmax())
         furthest = float(distance[joint])
@@ -148,13 +148,13 @@ class Timing:
 
     Attributes:
         wait: WAIT ends the session after this time.
-        ramp: of the way to the first frame.
-        play: of PLAY; None: until stopped.
-        hold, damp: of these phases.
-        settle: WAIT lasts at least this long, so that other publishers of LowCmd are discovered.
-        awaited: RAMP lasts longer by this: it rests at the first frame until `COAST_NS` before its
-            end.
-        way_down: HOLD lasts longer by this, in which a robot on its feet goes down.
+        ramp: length of the way to the first frame.
+        play: length of PLAY; None: until stopped.
+        hold, damp: length of these phases.
+        settle: minimum length of WAIT, so that other publishers of LowCmd are discovered.
+        awaited: time by which RAMP is extended; it rests at the first frame until `COAST_NS` before
+            its end.
+        way_down: time by which HOLD is extended, in which a robot on its feet goes down.
     """
 
     wait: int
@@ -168,7 +168,7 @@ class Timing:
 
     @classmethod
     def from_config(cls, settings: StreamConfig, play: float | None, settle: int) -> Timing:
-        """The timing of a config; `play` in s, `settle` in ns."""
+        """Make the timing from settings; `play` in s, `settle` in ns."""
         wait, ramp, hold, damp = (
             round(1e9 * seconds)
             for seconds in (settings.wait, settings.ramp, settings.hold, settings.damp)
@@ -177,23 +177,23 @@ class Timing:
 
 
 class WayDown(Protocol):
-    """How a robot that is on its feet goes down before it is damped.
+    """Interface of the motion in which a robot on its feet goes down before it is damped.
 
     Attributes:
-        length: s.
+        length: duration, s.
     """
 
     length: float
 
     def possible(self, target: Target) -> bool:
-        """Whether it can begin at a target."""
+        """Whether the way down can begin at a target."""
 
     def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
-        """The way down from a target at rest.
+        """Plan the way down from a target at rest.
 
         Returns:
-            A function: from s since the way down began, and the joints (29,) of the target before
-            that, rad, to the target.
+            A function of the time since the way down began, s, and the joints (29,) of the previous
+            target, rad, that returns the target.
         """
 
 
@@ -206,11 +206,11 @@ class Targets:
     Args:
         trajectory: the motion.
         start: motion time at which PLAY begins, s.
-        played: (29,) which joints play the motion, all if None; the others keep the pose from which
+        played: (29,) joints that play the motion, None: all; the others keep the pose from which
             RAMP starts.
-        lift: m by which the pelvis is higher when RAMP begins: a simulator that holds it there
-            lowers the robot onto its feet with it.
-        way_down: with which HOLD ends; None: it only rests.
+        lift: height of the pelvis above its target when RAMP begins, m. A simulator that holds the
+            pelvis there lowers the robot onto its feet during RAMP.
+        way_down: motion with which HOLD ends; None: no motion.
 
     Attributes:
         first: the target at `start`.
@@ -233,12 +233,12 @@ class Targets:
         self.way_down = way_down
         self._from: Floats | None = None
         self.first = Target.from_point(start, trajectory.sample(start))
-        # With a preview of one period, each time is asked for twice in a row.
+        # With a preview of one period, each time is sampled twice in a row.
         self._playing = lru_cache(maxsize=1)(self._sample)
         self._planned = lru_cache(maxsize=1)(self._plan_way_down)
 
     def begin(self, q: NDArray[np.floating]) -> Floats:
-        """Set the measured pose (29,) from which RAMP starts, rad; gives the way to `first`."""
+        """Set the measured pose (29,) where RAMP starts, rad; return the distance to `first`."""
         self._from = np.asarray(q, dtype=np.float64).copy()
         self.first = self._of_played(self.first)
         self._playing.cache_clear()
@@ -251,7 +251,7 @@ class Targets:
             phase: RAMP, PLAY, HOLD or DAMP.
             elapsed: ns since the phase began.
             timing: length of each phase.
-            last: the target before this one, which DAMP keeps, and the way down goes on from.
+            last: the previous target, which DAMP keeps, and from which the way down continues.
         """
         if phase is Phase.PLAY:
             return self._playing(self._time(elapsed, timing))
@@ -269,7 +269,7 @@ class Targets:
         return self._of_played(Target.from_point(time, self._trajectory.sample(time)))
 
     def _of_played(self, target: Target) -> Target:
-        """The target with the joints that are not played at rest where RAMP starts."""
+        """The target with joints that are not played at rest in the pose where RAMP starts."""
         played = self._played
         if played is None or self._from is None:
             return target

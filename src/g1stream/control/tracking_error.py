@@ -1,4 +1,4 @@
-"""The tracking error of joints: sums over any number of states, and that of a run that goes on."""
+"""Tracking error of the joints: its statistics, and their computation during a run."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 __all__ = ["ErrorSums", "RunningError"]
 
-#: References that are kept: 128 ms of them at 500 Hz, longer than a LowState is on its way.
+#: Number of references that are kept; 128 ms at 500 Hz, longer than the latency of a LowState.
 _REFERENCES: Final = 64
-#: States whose errors are added at once.
+#: Number of states whose errors are added together.
 _BLOCK: Final = 64
 _JOINTS: Final = np.arange(N_JOINTS)
 
 
 class ErrorSums:
-    """What is known of the errors of all joints, without the errors.
+    """Running statistics of the errors of all joints.
 
     Attributes:
-        n: states that were added.
-        max_abs: (29,) rad, the greatest error, either way.
-        max_abs_at: (29,) s since the motion's first frame, where that was.
+        n: number of states.
+        max_abs: (29,) maximum absolute error, rad.
+        max_abs_at: (29,) motion time of the maximum, s since the motion's first frame.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class ErrorSums:
         self._squares, self._total = np.zeros((2, N_JOINTS))
 
     def add(self, error: Floats, motion_time: Floats) -> None:
-        """Add the errors of one state or more.
+        """Add the errors of one or more states.
 
         Args:
             error: (N, 29) rad, reference - measured.
@@ -55,13 +55,13 @@ class ErrorSums:
 
     @property
     def rmse(self) -> Floats:
-        """(29,) rad, root mean square; of one state at least."""
+        """(29,) root mean square error, rad; needs at least one state."""
         found: Floats = np.sqrt(self._squares / self.n)
         return found
 
     @property
     def mean(self) -> Floats:
-        """(29,) rad; of one state at least."""
+        """(29,) mean error, rad; needs at least one state."""
         return self._total / self.n
 
 
@@ -75,16 +75,16 @@ class _Asked(NamedTuple):
 
 
 class RunningError:
-    """The tracking error of a run in PLAY, of the LowStates that the loop uses.
+    """Computes the tracking error in PLAY during a run, from the LowStates that the loop uses.
 
-    As of a recording, each LowState is compared with the reference at its publish time: see
-    `g1stream.analysis.tracking`. Where the clock of its publisher differs, the time of reception
-    stands for that. Memory does not grow with the run.
+    As for a recording, each LowState is compared with the reference at its publish time, see
+    `g1stream.analysis.tracking`. If the clock of its publisher differs, the time of reception is
+    used instead. Memory does not grow with the run.
 
     Attributes:
-        excluded: LowStates in PLAY that are left out: the reference has a gap there, or a value is
-            not finite.
-        duration: ns of PLAY, gaps left out.
+        excluded: number of LowStates in PLAY that are left out, because the reference has a gap
+            there or a value is not finite.
+        duration: duration of PLAY without gaps, ns.
     """
 
     def __init__(self) -> None:
@@ -96,17 +96,17 @@ class RunningError:
         self._around = np.empty((2, _BLOCK, N_JOINTS))  # the references before and after
         self._times = np.empty((2, _BLOCK))
         self._measured = np.empty((_BLOCK, N_JOINTS))
-        self._share = np.empty(_BLOCK)  # of the way from the one before to the one after
+        self._share = np.empty(_BLOCK)  # of the way between these two references, 0 to 1
 
     def asked(self, stamp: int, target: Target, *, playing: bool) -> None:
-        """A reference was published at `stamp`, ns since the epoch."""
+        """Add a reference that was published at `stamp`, ns since the epoch."""
         if self._asked and (last := self._asked[-1]).playing:
             gap = stamp - last.stamp
             self.duration += gap if 0 <= gap <= MAX_GAP_NS else 0
         self._asked.append(_Asked(stamp, target.q, target.motion_time, playing))
 
     def received(self, measured: Reading) -> None:
-        """A LowState was received; the references around the one before it are known by now."""
+        """Add a LowState, and compare the previous one, whose references are known by now."""
         previous, self._newest = self._newest, measured
         if previous is None:
             return
@@ -141,7 +141,7 @@ class RunningError:
         self._sums.add(error, times + share * (later_times - times))
 
     def finish(self) -> ErrorSums:
-        """The errors of all states, after the last one."""
+        """Finish after the last state, and return the errors of all states."""
         if self._rows:
             self._add()
         return self._sums

@@ -1,4 +1,4 @@
-"""Settings that depend on what may be on the wire: a simulator, a robot, its own controller."""
+"""Settings that depend on the receiver: a simulator, a robot, or the robot's own controller."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["for_wire", "with_robot_limits"]
 
-#: Age of the last LowState that stops in simulation, s. There, two programs and the physics share
-#: one machine, and silences above a robot's 0.1 s are common on two CPUs; nothing breaks meanwhile:
-#: the torque of the feed-forward fades out after 20 ms, and the position servo holds. Half of the
+#: Maximum age of the last LowState in simulation, s. There, two programs and the physics share one
+#: machine, and silences above a robot's 0.1 s are common on two CPUs. They are harmless, because
+#: the feed-forward torque fades out after 20 ms and the position servo holds. This is half of the
 #: 1 s after which Unitree's own programs stop.
 _STATE_TIMEOUT_OF_SIMULATOR: Final = 0.5
 
 
 def with_robot_limits(config: Config) -> Config:
-    """A config in which robot.toml's values stand wherever nothing is set; unchanged on loopback.
+    """Fill unset values of a config with those of robot.toml; unchanged on loopback.
 
-    Its domain and interface are not taken over.
+    The domain and interface of robot.toml are not used.
     """
     if is_local_only(config.dds.interface):
         return config
@@ -43,14 +43,14 @@ def with_robot_limits(config: Config) -> Config:
 
 
 def for_wire(config: Config) -> Config:
-    """A config whose unset values that depend on the wire are set.
+    """Fill unset values of a config that depend on the receiver of commands.
 
-    On loopback there is a simulator, which may be silent for longer than a robot. Anywhere else
-    there may be a robot, for which robot.toml has the values. With `stream.via` = arm_sdk, its
-    topic decides on others.
+    On loopback the receiver is a simulator, which may be silent for longer than a robot. On other
+    interfaces it may be a robot, for which robot.toml has the values. `stream.via` = arm_sdk sets
+    further values.
 
     Raises:
-        ConfigError: the settings ask for what is not possible with `stream.via` = arm_sdk.
+        ConfigError: a setting is not possible with `stream.via` = arm_sdk.
     """
     if is_local_only(config.dds.interface):
         timeout = config.safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
@@ -64,27 +64,28 @@ def for_wire(config: Config) -> Config:
 
 
 def _for_arm_sdk(settings: StreamConfig) -> StreamConfig:
-    """The settings of a stream with `via` = arm_sdk, with those that depend on it set.
+    """Fill the settings of a stream that depend on `via` = arm_sdk.
 
     Raises:
-        ConfigError: they ask for what the robot's own controller does not let others do.
+        ConfigError: a setting is not possible through the robot's own controller.
     """
     if (select_joints(settings.played_joints) & ~MOVED).any():
         raise ConfigError(
             f"stream.joints = {settings.joints!r} selects joints of the legs, which stream.via = "
             "arm_sdk cannot move.",
-            "Choose of arms and waist, or leave --via out.",
+            "Select joints of arms and waist, or remove --via.",
         )
     if settings.others == "free":
         raise ConfigError(
-            "stream.others = free with stream.via = arm_sdk: nothing would carry these joints.",
-            "Leave --others out: arms and waist that do not play then hold their pose.",
+            "stream.others = free is not possible with stream.via = arm_sdk, because nothing would "
+            "carry these joints.",
+            "Remove --others; the other joints of arms and waist then hold their pose.",
         )
     if settings.support:
         raise ConfigError(
-            f"stream.support = {settings.support} with stream.via = arm_sdk: the robot's own "
-            "controller carries it.",
-            "Leave --support out.",
+            f"stream.support = {settings.support} is not possible with stream.via = arm_sdk, "
+            "because the robot's own controller carries the robot.",
+            "Remove --support.",
         )
     return settings.model_copy(
         update={

@@ -1,1 +1,1 @@
-"""The wire: types, fixed layouts, checksum, domain, and raw readers and writers."""
+"""DDS: message types, CDR layouts, checksum, domain participants, and raw readers and writers."""

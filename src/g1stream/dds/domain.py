@@ -1,9 +1,9 @@
-"""Join a DDS domain on one network interface, and list the endpoints of others in it.
+"""Join a DDS domain on one network interface, and list the endpoints of other participants.
 
-On loopback the released Cyclone versions disagree about multicast: 0.10.x, which the SDK and the
-robot run, turns it off there and 11.x does not, so that with a plain configuration the two never
-discover each other. With 127.0.0.1 as a peer they do, in either start order; a wired interface
-needs nothing.
+On loopback the released Cyclone versions use multicast differently. Version 0.10.x, which the SDK
+and the robot use, turns it off there, and 11.x does not. With a plain configuration the two
+versions never discover each other. With 127.0.0.1 as a peer they do, in either start order. A wired
+interface needs no such configuration.
 """
 
 from __future__ import annotations
@@ -52,21 +52,21 @@ __all__ = [
 ]
 
 GUARD_PROGRAM: Final = "g1stream guard"
-"""With what `Participant.owner` begins for a guard."""
+"""First words of `Participant.owner` for a guard."""
 
-#: The ports of a higher domain id would be above 65535 (RTPS 2.5, 9.6.2).
+#: Highest domain id; the ports of a higher one would be above 65535 (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
 
-# The kernel gives as much of the receive buffer as net.core.rmem_max allows. Cyclone's own 1 MB
-# overflows when a busy machine leaves a process waiting for a tenth of a second.
+# The kernel limits the receive buffer to net.core.rmem_max. Cyclone's 1 MB overflows if a busy
+# machine does not schedule a process for 0.1 s.
 _CONFIG: Final = (
     '<CycloneDDS><Domain Id="any">'
     '<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces>{multicast}</General>'
     '<Internal><SocketReceiveBufferSize max="16MB"/></Internal>'
     "{discovery}</Domain></CycloneDDS>"
 )
-#: Samples by unicast: by multicast on loopback, each would wake every process in the domain, the
-#: sender too.
+#: Samples use unicast, because on loopback, multicast would wake every process in the domain,
+#: including the sender.
 _LOOPBACK_MULTICAST: Final = "<AllowMulticast>spdp</AllowMulticast>"
 _LOOPBACK_DISCOVERY: Final = (
     "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
@@ -75,19 +75,19 @@ _LOOPBACK_DISCOVERY: Final = (
 
 
 DISCOVERY: Final = 0.3
-"""Time in which a new participant discovers those that were in its domain before it, s."""
+"""Time in which a new participant discovers the participants that are already in its domain, s."""
 
 SETTLE: Final = 0.1
-"""Further time in which one that joined at the same time is discovered, s."""
+"""Additional time in which a participant that joined at the same time is discovered, s."""
 
 
 def interfaces() -> list[str]:
-    """The names of this machine's network interfaces."""
+    """Names of this machine's network interfaces."""
     return [name for _, name in socket.if_nameindex()]
 
 
 def require_interface(interface: str) -> None:
-    """Refuse a network interface that does not exist.
+    """Check that a network interface exists.
 
     Raises:
         WireError: this machine has no interface of that name.
@@ -100,7 +100,7 @@ def require_interface(interface: str) -> None:
 
 
 class InterfaceFlags(IntFlag):
-    """The kernel's flags of a network interface, IFF_* in netdevice(7)."""
+    """Kernel flags of a network interface, IFF_* in netdevice(7)."""
 
     UP = 0x1
     LOOPBACK = 0x8
@@ -108,7 +108,7 @@ class InterfaceFlags(IntFlag):
 
 
 def interface_flags(interface: str) -> InterfaceFlags:
-    """The kernel's flags of an interface; where they cannot be read, `lo` is the loopback."""
+    """Read the kernel flags of an interface; if they cannot be read, `lo` is the loopback."""
     try:
         return InterfaceFlags(int(Path("/sys/class/net", interface, "flags").read_text(), 16))
     except OSError:
@@ -116,42 +116,42 @@ def interface_flags(interface: str) -> InterfaceFlags:
 
 
 def is_loopback(interface: str) -> bool:
-    """Whether an interface is the loopback."""
+    """Return whether an interface is the loopback."""
     return InterfaceFlags.LOOPBACK in interface_flags(interface)
 
 
 def is_local_only(interface: str) -> bool:
-    """Whether samples cannot leave this machine; with a CYCLONEDDS_URI that is not known."""
+    """Return whether samples cannot leave this machine; False if CYCLONEDDS_URI is set."""
     return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
 
 
 def network_name(interface: str) -> str:
-    """What selects the network in use: the interface, or a CYCLONEDDS_URI where one is set."""
+    """Name of the network for messages: the interface, or CYCLONEDDS_URI if it is set."""
     return "CYCLONEDDS_URI" if os.environ.get("CYCLONEDDS_URI") else interface
 
 
-# What our programs announce in the user data of their writers and readers. It is part of discovery
-# (DDS 1.4, 2.2.3.1): it costs no topic and no message, takes no part in matching, and peers that do
-# not know it ignore it. A robot and unitree_mujoco announce nothing.
+# g1stream's programs announce themselves in the user data of their writers and readers. User data
+# is part of discovery (DDS 1.4, 2.2.3.1), needs no topic or message, does not affect matching, and
+# is ignored by other programs. A robot and unitree_mujoco announce nothing.
 OBSERVER: Final = b"g1stream.observer"
-"""The user data of a reader of LowCmd that does not obey it."""
+"""User data of a reader of LowCmd that does not act on it."""
 
 IDLE: Final = b"g1stream.idle"
-"""The user data of a writer of commands that has published nothing yet, as a guard's."""
+"""User data of a writer of commands that has not published yet, such as a guard's."""
 
 PUBLISHING: Final = b"g1stream.publishing"
-"""The user data of one that has."""
+"""User data of a writer of commands that has published."""
 
 _BRIDGE: Final = "g1stream.bridge="
 
 
 class AnnouncedBridge(NamedTuple):
-    """What our own bridge announces with its writer of LowState.
+    """Announcement of g1stream's own bridge in the user data of its LowState writer.
 
     Attributes:
-        support: how it holds the robot.
-        robot: the name of the robot that it simulates.
-        rate: LowStates per second. Only its ticks number them: they count ms.
+        support: how the bridge holds the robot.
+        robot: name of the simulated robot.
+        rate: LowStates per second, Hz. Ticks count ms and number the LowStates only of this bridge.
     """
 
     support: str
@@ -160,7 +160,7 @@ class AnnouncedBridge(NamedTuple):
 
     @classmethod
     def by(cls, writers: Iterable[Endpoint]) -> AnnouncedBridge | None:
-        """What writers of LowState announce; None where none does or they differ."""
+        """Read the announcement of LowState writers; None if there is none or several differ."""
         found = {one.user_data for one in writers if one.user_data.startswith(_BRIDGE.encode())}
         if len(found) != 1:
             return None
@@ -174,12 +174,12 @@ class AnnouncedBridge(NamedTuple):
 
     @property
     def user_data(self) -> bytes:
-        """The announcement."""
+        """The announcement as user data."""
         return f"{_BRIDGE}{self.support};{self.rate};{self.robot}".encode()
 
     @property
     def tick_step(self) -> float:
-        """From one LowState to the next, ms."""
+        """Time from one LowState to the next, ms."""
         return 1000.0 / self.rate
 
 
@@ -188,12 +188,13 @@ class Endpoint:
     """A writer or reader of another participant.
 
     Attributes:
-        topic, type_name: as announced on the wire.
-        participant: the GUID of the participant it belongs to.
-        host, pid, process: of that participant; empty where it does not announce them.
-        handle: a sample's `publication_handle`, if it is a writer.
+        topic, type_name: as announced in discovery.
+        participant: GUID of its participant.
+        host, pid, process: host, process id and process name of its participant; empty if not
+            announced.
+        handle: the `publication_handle` of its samples, for a writer.
         qos: Cyclone's Qos, as announced.
-        type_id: XTypes' identifier of the announced type; None where it announces none.
+        type_id: XTypes identifier of the announced type; None if not announced.
     """
 
     topic: str
@@ -208,12 +209,12 @@ class Endpoint:
 
     @property
     def user_data(self) -> bytes:
-        """What it announces beside the topic; empty where it announces nothing."""
+        """The announced user data; empty if there is none."""
         return next((p.data for p in self.qos or () if isinstance(p, Policy.Userdata)), b"")
 
     @property
     def idle(self) -> bool:
-        """Whether it announces to be a writer of commands that has published nothing."""
+        """Whether it is announced as a writer of commands that has not published."""
         return self.user_data == IDLE
 
     def __str__(self) -> str:
@@ -223,7 +224,7 @@ class Endpoint:
 
 
 def identify_program(written: set[str], read: set[str]) -> str:
-    """Which program of ours writes and reads these topics, or "" where none does."""
+    """Name of the g1stream program that writes and reads these topics, or ""."""
     if REFERENCE.name in written:
         return "g1stream stream"
     if {LOG.name, LOWSTATE.name} <= written:
@@ -236,7 +237,7 @@ def identify_program(written: set[str], read: set[str]) -> str:
 
 
 class Closable(Protocol):
-    """An entity that its participant closes."""
+    """Interface of an entity that its participant closes."""
 
     def close(self) -> None: ...
 
@@ -245,18 +246,18 @@ class Participant:
     """One participant in a DDS domain, and the entities made from it.
 
     Args:
-        domain: the DDS domain id, 0 to 232. Simulators use 1, the robot uses 0.
+        domain: the DDS domain id, 0 to 232. Simulators use 1, and the robot uses 0.
         interface: the network interface to use, such as `lo` or `eth0`.
 
     Attributes:
-        uses_environment: a CYCLONEDDS_URI was set, and was used instead of `interface`.
+        uses_environment: whether CYCLONEDDS_URI was set and used instead of `interface`.
 
     Raises:
-        WireError: no such interface, this process is in the domain on another interface, or Cyclone
-            cannot start there.
+        WireError: the interface does not exist, this process is in the domain on another interface,
+            or Cyclone cannot start there.
     """
 
-    # Cyclone takes one configuration for each domain id in a process, before its participants.
+    # Cyclone accepts one configuration per domain id in a process, before the first participant.
     _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
@@ -273,8 +274,8 @@ class Participant:
             self._release()
             raise WireError(
                 f"Cyclone DDS cannot join domain {domain} on {interface}: {error.msg or error}.",
-                "Check CYCLONEDDS_URI if it is set, and that fewer than ten other participants, of "
-                "which a recorder is two, share the domain on this machine.",
+                "Check CYCLONEDDS_URI if it is set, and that fewer than ten other participants use "
+                "the domain on this machine (a recorder has two).",
             ) from error
         self._participants = BuiltinDataReader(self.entity, BuiltinTopicDcpsParticipant)
         self._writers = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
@@ -286,7 +287,7 @@ class Participant:
             raise WireError(
                 f"This process uses {interface} for domain {self.domain} and cannot use "
                 f"{self.interface} as well.",
-                "Use one interface for a domain, or another domain.",
+                "Use the same interface for the domain, or another domain.",
             )
         if entity is None:
             here = is_loopback(self.interface)
@@ -308,23 +309,23 @@ class Participant:
             del self._domains[self.domain]
 
     def register(self, entity: Closable) -> None:
-        """Close an entity together with this participant, whatever still refers to it."""
+        """Close an entity together with this participant, even if there are references to it."""
         self._entities.append(entity)
 
     def writers(self, topic: str | None = None) -> list[Endpoint]:
-        """Writers of a topic, or of all, discovered so far; without this participant's."""
+        """Discovered writers of a topic, or of all topics, without this participant's."""
         return self._endpoints(self._writers, topic)
 
     def readers(self, topic: str | None = None) -> list[Endpoint]:
-        """Readers of a topic, or of all, discovered so far; without this participant's."""
+        """Discovered readers of a topic, or of all topics, without this participant's."""
         return self._endpoints(self._readers, topic)
 
     def commanders(self, topic: str = LOWCMD.name) -> list[Endpoint]:
-        """Writers of commands discovered so far, without idle ones and this participant's."""
+        """Discovered writers of commands, without idle ones and this participant's."""
         return [writer for writer in self.writers(topic) if not writer.idle]
 
     def owner(self, endpoint: Endpoint) -> str:
-        """The process or participant of an endpoint; one of ours, which is `python`, by command."""
+        """The process or participant of an endpoint, with the name of a g1stream program."""
         program = identify_program(
             {one.topic for one in self.writers() if one.participant == endpoint.participant},
             {one.topic for one in self.readers() if one.participant == endpoint.participant},
@@ -366,7 +367,8 @@ class Participant:
         """Leave the domain; closes all entities made from this participant."""
         if not hasattr(self, "entity"):
             return
-        # Cyclone's Python entities end with their last reference: children first, the domain last.
+        # Cyclone's Python entities are deleted with their last reference, so the order matters:
+        # children first, the domain last.
         for entity in self._entities:
             entity.close()
         self._entities.clear()
@@ -382,6 +384,6 @@ class Participant:
 
 
 def _alive(reader: Any) -> list[Any]:
-    """What a built-in reader knows to exist now; it stays there for the next call."""
+    """Samples of a built-in reader whose entities exist now; they are not removed from it."""
     alive = InstanceState.Alive
     return [s for s in reader.read(1024) if s.sample_info.instance_state & alive]

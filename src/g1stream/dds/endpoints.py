@@ -1,12 +1,12 @@
-"""Writers and readers that carry samples as bytes.
+"""DDS writers and readers whose samples are bytes.
 
-cyclonedds-python serialises field by field, a few hundred microseconds for a LowState. Its writer
-asks the sample itself for its bytes, though, and its reader hands received bytes to the topic's
-class, so that a plain class with the generated type's identity and its own pair of methods carries
-bytes untouched in both directions.
+cyclonedds-python serialises field by field, which takes a few hundred microseconds for a LowState.
+However, its writer calls `serialize` of the sample, and its reader calls `deserialize` of the
+topic's class. Therefore a plain class with the identity of the generated type and its own two
+methods transports bytes unchanged in both directions.
 """
 
-# `c_call` reads annotations when a class is made, so they must not be postponed here.
+# `c_call` reads annotations when a class is created, so they must not be postponed here.
 import ctypes
 from collections.abc import Sequence
 from functools import cache
@@ -25,11 +25,11 @@ __all__ = ["AnyTopic", "PublishersByTurns", "RawReader", "RawSample", "RawWriter
 
 
 class AnyTopic(Protocol):
-    """A topic of `g1stream.dds.messages`, or of others.
+    """Interface of a topic, from `g1stream.dds.messages` or elsewhere.
 
     Attributes:
-        name: on the wire.
-        idl_type: the cyclonedds class that names its type there.
+        name: topic name on DDS.
+        idl_type: cyclonedds class with the type name on DDS.
     """
 
     @property
@@ -42,8 +42,8 @@ class RawSample:
     """A sample as bytes.
 
     Attributes:
-        data: the sample as it is on the wire, CDR header included.
-        sample_info: Cyclone's; `source_timestamp` is the writer's CLOCK_REALTIME in ns.
+        data: the serialised sample, including the CDR header.
+        sample_info: Cyclone's SampleInfo; `source_timestamp` is the writer's CLOCK_REALTIME, ns.
     """
 
     __slots__ = ("data", "sample_info")
@@ -66,25 +66,26 @@ class RawSample:
         """Called by cyclonedds' reader."""
         return cls(data)
 
-    # A type without a key announces a writer's departure with a sample that holds nothing.
+    # For a type without a key, the end of a writer is announced with an empty sample.
     deserialize_key = deserialize
 
 
 @cache
 def _raw_type(idl_type: Any) -> type[RawSample]:
-    """A class of samples that Cyclone takes for the generated type.
+    """Make a class of samples that Cyclone treats as the generated type.
 
-    Not a subclass of it: that would announce a base type on the wire, and peers would refuse it.
+    It is not a subclass of the generated type, because that would announce a base type in
+    discovery, and peers would reject it.
     """
     identity = {"__idl__": idl_type.__idl__, "__idl_typename__": idl_type.__idl_typename__}
     return type(f"Raw{idl_type.__name__}", (RawSample,), {"__slots__": (), **identity})
 
 
 class _Statuses(DDS):  # type: ignore[misc]
-    """Counts of an entity that the Python classes of 0.10.2 do not show.
+    """Status counts of an entity that the Python classes of 0.10.2 do not provide.
 
-    They could be had from listeners too, but a listener is called from Cyclone's own thread, and
-    one that waits for the interpreter while the interpreter deletes the entity waits for ever.
+    Listeners would also provide them, but a listener is called from Cyclone's own thread. If it
+    waits for the GIL while the interpreter deletes the entity, it never returns.
     """
 
     @c_call("dds_get_publication_matched_status")  # type: ignore[untyped-decorator]
@@ -119,7 +120,7 @@ def _create(
     user_data: bytes,
     *policies: Any,
 ) -> Any:
-    """Cyclone's writer or reader of a topic whose samples are bytes."""
+    """Create Cyclone's writer or reader of a topic whose samples are bytes."""
     raw_type = _raw_type(topic.idl_type)
     announced = [Policy.Userdata(user_data)] if user_data else []
     cyclone_topic = CycloneTopic(participant.entity, topic.name, raw_type)
@@ -129,13 +130,19 @@ def _create(
 class RawWriter:
     """Publishes samples of one topic as bytes, until it or its participant is closed.
 
-    Reliable, as the simulators write, so that reliable and best-effort readers match.
-    A slow reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
+    It is reliable, like the simulators' writers, so that reliable and best-effort readers match. A
+    slow reliable reader never blocks it, because samples that cannot be written immediately are
+    dropped.
 
     Args:
-        depth: how many samples are kept for reliable readers that have not confirmed them.
-        latched: the last sample is kept for readers that come later (transient local).
-        user_data: announced in discovery.
+        participant: the participant of the writer.
+        topic: the topic.
+        depth: number of samples that are kept for reliable readers that have not confirmed them.
+        latched: keep the last sample for later readers (transient local).
+        user_data: user data for discovery.
+
+    Attributes:
+        dropped: number of samples that could not be written.
     """
 
     def __init__(
@@ -163,11 +170,11 @@ class RawWriter:
         """Publish one sample.
 
         Args:
-            data: the sample, CDR header included.
-            timestamp: the publish time, ns since the epoch; now when left out.
+            data: the serialised sample, including the CDR header.
+            timestamp: publish time, ns since the epoch; None: now.
 
         Returns:
-            Whether it was written at once.
+            Whether the sample was written.
         """
         try:
             self._writer.write(self._type(data), timestamp)
@@ -179,28 +186,28 @@ class RawWriter:
         return True
 
     def announce(self, user_data: bytes) -> None:
-        """Change what is announced in discovery."""
+        """Change the user data for discovery."""
         self._writer.set_qos(Qos(Policy.Userdata(user_data)))
 
     @property
     def matched(self) -> int:
-        """How many readers are matched."""
+        """Number of matched readers."""
         status = dds_c_t.publication_matched_status()
         _STATUSES.readers(self._writer._ref, ctypes.byref(status))
         return int(status.current_count)
 
 
 class PublishersByTurns:
-    """Tells publishers that publish by turns from one that was started anew.
+    """Distinguishes several active publishers from one that was restarted.
 
-    A program that is started anew has another publisher, and its predecessor is heard no more.
+    A restarted program has a new publisher, and its old publisher sends no more samples.
     """
 
     def __init__(self) -> None:
         self._by_recency: list[int] = []  # the newest last
 
     def hear(self, publisher: int) -> bool:
-        """Note the publisher of a sample; whether it was heard before another one, too."""
+        """Add the publisher of a sample; return whether it alternates with another publisher."""
         heard = self._by_recency
         if heard and publisher == heard[-1]:
             return False
@@ -214,15 +221,17 @@ class PublishersByTurns:
 class RawReader:
     """Receives samples of one topic as bytes, until it or its participant is closed.
 
-    Best effort, so that it can never block a writer.
+    It is best effort, so that it can never block a writer.
 
     Args:
-        depth: how many samples are kept between two takes before the oldest is lost.
+        participant: the participant of the reader.
+        topic: the topic.
+        depth: number of samples that are kept between two takes before the oldest is lost.
         ignore_own: do not match writers of the same participant.
-        user_data: announced in discovery.
+        user_data: user data for discovery.
 
     Attributes:
-        malformed: samples received that were not of the topic's type.
+        malformed: number of received samples that were not of the topic's type.
     """
 
     def __init__(
@@ -247,10 +256,11 @@ class RawReader:
         self.entity = None
 
     def take(self, most: int = 256) -> Sequence[RawSample]:
-        """The samples received since the last take, oldest first; never waits.
+        """Take the samples received since the last take, oldest first; does not wait.
 
-        What is not one sample of the topic's type in plain little-endian CDR is left out and
-        counted in `malformed`: a writer without type information is matched whatever it writes.
+        Data that is not one sample of the topic's type in plain little-endian CDR is left out and
+        counted in `malformed`. It can occur because a writer without type information always
+        matches.
         """
         whole = []
         for sample in self.entity.take(most):
@@ -262,25 +272,25 @@ class RawReader:
         return whole
 
     def take_latest(self) -> RawSample | None:
-        """The newest sample since the last take, or None; never waits."""
+        """Take the newest sample since the last take, or None; does not wait."""
         samples = self.take()
         return samples[-1] if samples else None
 
     @property
     def matched(self) -> int:
-        """How many writers are matched."""
+        """Number of matched writers."""
         return self.matches[0]
 
     @property
     def matches(self) -> tuple[int, int]:
-        """How many writers are matched, and how many ever were."""
+        """Number of matched writers, now and in total."""
         status = dds_c_t.subscription_matched_status()
         _STATUSES.writers(self.entity._ref, ctypes.byref(status))
         return int(status.current_count), int(status.total_count)
 
     @property
     def lost(self) -> int:
-        """How many samples DDS reports as lost."""
+        """Number of samples that DDS reports as lost."""
         status = dds_c_t.sample_lost_status()
         _STATUSES.lost(self.entity._ref, ctypes.byref(status))
         return int(status.total_count)

@@ -1,10 +1,11 @@
-"""From a type on the wire to the place of each of its fields in the bytes, derived once.
+"""CDR layouts: byte offsets of all fields of a fixed-size message type, derived once from its IDL.
 
-Every type here has only fixed-size fields, so each field has one place in the CDR payload, and
-reading or writing a sample is a numpy view. The rules are those of XCDR1 (DDSI-RTPS 2.5, section
-10, plain CDR): a primitive is aligned to its own size counted from the start of the payload, and a
-struct is not padded to its own size. The elements of an array of structs therefore need not all
-look the same: in LowCmd the first motor's `mode` sits closer to its `q` than those of the others.
+All types here have only fixed-size fields, so each field has a fixed offset in the CDR payload, and
+a sample is read or written through numpy views. The rules are those of XCDR1 (DDSI-RTPS 2.5,
+section 10, plain CDR): a primitive is aligned to its own size, counted from the start of the
+payload, and a struct is not padded to its own size. Therefore the elements of an array of structs
+can have different layouts. In LowCmd, the first motor's `mode` is closer to its `q` than those of
+the others.
 """
 
 from __future__ import annotations
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CDR_HEADER", "Crc", "Field", "Layout", "Leaf", "leaves", "members"]
 
-#: Representation identifier of plain CDR, little endian, and no options: the first 4 bytes of a
-#: sample.
+#: First 4 bytes of a sample: representation identifier of plain little-endian CDR, and no options.
 CDR_HEADER: Final = b"\x00\x01\x00\x00"
 
 _DTYPES: Final[dict[str, str]] = {
@@ -43,7 +43,7 @@ _DTYPES: Final[dict[str, str]] = {
 
 @dataclass(frozen=True)
 class Leaf:
-    """One primitive of a type: its path without indices, its indices, dtype and place in C."""
+    """One primitive of a type: path without indices, indices, dtype and offset in the C struct."""
 
     path: str
     index: tuple[int, ...]
@@ -66,7 +66,7 @@ def members(idl_type: Any) -> dict[str, tuple[Any, int | None]]:
 
 
 def leaves(idl_type: Any) -> Iterator[Leaf]:
-    """Walk the primitives of a type in wire order."""
+    """Iterate over the primitives of a type in wire order."""
     return _leaves(idl_type, _c_struct(idl_type), "", (), 0)
 
 
@@ -87,7 +87,7 @@ def _leaves(
 
 
 def _c_struct(element: Any) -> np.dtype[Any]:
-    """An element as a C compiler lays it out: natural alignment, structs padded to theirs."""
+    """The C layout of an element, with natural alignment and padded structs."""
     if isinstance(element, str):
         return np.dtype(_DTYPES[element])
     fields = [
@@ -99,19 +99,22 @@ def _c_struct(element: Any) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Field:
-    """The places of one field in a payload.
+    """Byte offsets of one field in a payload.
 
     Attributes:
         offsets: byte offsets within the payload, shaped like the field: () for a scalar, (35,) for
             `motor_cmd.q`, (35, 2) for `motor_state.temperature`.
-        dtype: the little-endian primitive at each of them.
+        dtype: the little-endian primitive at each offset.
     """
 
     offsets: NDArray[np.intp]
     dtype: np.dtype[Any]
 
     def read(self, payloads: NDArray[np.uint8]) -> NDArray[Any]:
-        """The field in payloads (..., size) as (..., *offsets.shape); of many a view if it can."""
+        """Read the field from payloads (..., size); returns (..., *offsets.shape).
+
+        It is a view of payloads (N, size) if the field's offsets are evenly spaced.
+        """
         if payloads.ndim == 2 and self.strides is not None:  # without an index for each byte
             start = int(self.offsets.flat[0])
             first = payloads[:, start : start + self.dtype.itemsize].view(self.dtype)
@@ -130,7 +133,7 @@ class Field:
         """A writable view of the field in one contiguous payload (size,).
 
         Raises:
-            ValueError: the field's places are not evenly spaced, so that no view can show them.
+            ValueError: the field's offsets are not evenly spaced, so there is no view.
         """
         if self.strides is None:
             raise ValueError("the field is not evenly spaced in the payload")
@@ -142,7 +145,7 @@ class Field:
 
     @cached_property
     def strides(self) -> tuple[int, ...] | None:
-        """Bytes from one place to the next along each axis; None where they differ."""
+        """Distance between offsets along each axis, bytes; None if it is not constant."""
         strides = []
         for axis, length in enumerate(self.offsets.shape):
             steps = np.unique(np.diff(self.offsets, axis=axis)) if length > 1 else np.array([0])
@@ -153,16 +156,16 @@ class Field:
 
 
 class Layout:
-    """Where each field of a fixed-size type sits in its CDR payload and in its C struct.
+    """The CDR layout of a fixed-size type, and its mapping to the C struct.
 
     Attributes:
-        typename: the type's name on the wire, such as `unitree_hg.msg.dds_.LowCmd_`.
+        typename: name of the type on DDS, such as `unitree_hg.msg.dds_.LowCmd_`.
         size: bytes of the payload, without the 4-byte header.
-        sample_size: bytes of a sample as Cyclone hands it over: the header and the payload, padded
-            to a multiple of 4.
+        sample_size: bytes of a sample from Cyclone, with header and payload, padded to a multiple
+            of 4.
         fields: dotted path without indices, such as `motor_cmd.q` -> Field.
-        struct_bytes: for each byte of the C struct (natural alignment), the payload byte that it
-            shows; `size` where it is padding.
+        struct_bytes: index of the payload byte for each byte of the C struct (natural alignment);
+            `size` for padding.
     """
 
     def __init__(self, idl_type: Any) -> None:
@@ -192,11 +195,15 @@ class Layout:
         return self.fields[path]
 
     def matches(self, data: bytes) -> bool:
-        """Whether bytes, CDR header included, are one sample in plain little-endian CDR."""
+        """Return whether bytes, including the CDR header, are one sample in little-endian CDR."""
         return len(data) == self.sample_size and data[:2] == CDR_HEADER[:2]
 
     def check(self, data: bytes) -> None:
-        """Raise a WireError unless bytes, CDR header included, are one sample of this type."""
+        """Check that bytes, including the CDR header, are one sample of this type.
+
+        Raises:
+            WireError: they have another size or encoding.
+        """
         if not self.matches(data):
             raise WireError(
                 f"A sample has {len(data)} bytes, encoding 0x{data[:2].hex()}, but "
@@ -207,19 +214,19 @@ class Layout:
     @staticmethod
     @cache
     def of(idl_type: Any) -> Layout:
-        """The layout of a type, derived once for each process."""
+        """The layout of a type, derived once per process."""
         return Layout(idl_type)
 
 
 class Crc:
     """Unitree's checksum: CRC-32/MPEG-2 (polynomial 0x04C11DB7, initial 0xFFFFFFFF) of a C struct.
 
-    The SDK feeds the struct's 32-bit words, all but the last (the checksum itself), most
-    significant bit first. In a little-endian struct that is the byte stream with each group of four
-    reversed.
+    The SDK processes the struct's 32-bit words except the last one (the checksum itself), most
+    significant bit first. For a little-endian struct this is the byte stream with each group of
+    four bytes reversed.
 
     Args:
-        layout: of a type whose last field is `crc`.
+        layout: layout of a type whose last field is `crc`.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -227,18 +234,18 @@ class Crc:
         self._source = np.ascontiguousarray(words[:-1, ::-1]).reshape(-1)
         start = int(layout["crc"].offsets)
         self._stored = slice(start, start + 4)
-        # One zero beyond the payload stands for the padding of the C struct.
+        # A zero after the payload is used for the padding of the C struct.
         self._padded = np.zeros(layout.size + 1, dtype=np.uint8)
         self._scratch = np.empty(self._source.size, dtype=np.uint8)
 
     def compute(self, payload: NDArray[np.uint8]) -> int:
-        """The checksum that a payload (size,) ought to carry."""
+        """Compute the checksum of a payload (size,)."""
         self._padded[:-1] = payload
         np.take(self._padded, self._source, out=self._scratch, mode="clip")
         return crc32.mpeg_2(self._scratch.tobytes())
 
     def matches(self, payload: NDArray[np.uint8]) -> bool:
-        """Whether a payload (size,) carries its own checksum."""
+        """Return whether the checksum in a payload (size,) is right."""
         return int.from_bytes(payload[self._stored], "little") == self.compute(payload)
 
 

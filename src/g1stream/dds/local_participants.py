@@ -1,8 +1,8 @@
-"""The DDS participants of this machine, found by their UDP ports; no domain is joined.
+"""Find the DDS participants on this machine by their UDP ports, without joining a domain.
 
 RTPS derives the ports of a participant from its domain (RTPS 2.5, 9.6.2): 7400 + 250 * domain is
 the multicast port of discovery, and participant i has the unicast ports 10 + 2 i and 11 + 2 i above
-that. Some have ports of the kernel's choice in place of those two.
+that. Some participants have unicast ports assigned by the kernel instead.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _LONGEST: Final = 80
 
 @dataclass(frozen=True, order=True)
 class LocalParticipant:
-    """A program of this machine that takes part in a domain.
+    """A program on this machine that participates in a domain.
 
     Attributes:
         domain: the domain id.
-        pid: 0 where it is not known, as of the programs of another user.
-        command: its command line, or whose it is.
-        apart: it is in another network namespace, as in a container.
+        pid: process id; 0 if unknown, as for programs of another user.
+        command: command line of the program, or its user if unknown.
+        apart: whether it is in another network namespace, such as a container.
     """
 
     domain: int
@@ -47,7 +47,7 @@ class LocalParticipant:
 
 
 def domains_of_ports(ports: Iterable[int]) -> set[int]:
-    """The domains whose ports a program has."""
+    """The domains that correspond to the UDP ports of a program."""
     held, found = set(ports), set()
     for port in held:
         domain, offset = divmod(port - _FIRST, _PER_DOMAIN)
@@ -58,7 +58,7 @@ def domains_of_ports(ports: Iterable[int]) -> set[int]:
 
 
 def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
-    """The programs of this machine in any domain, without this one and those that it started."""
+    """Programs on this machine in any domain, without this program and its child processes."""
     programs = _programs(proc)
     owners = {inode: pid for pid in programs for inode in socket_inodes(proc / str(pid))}
     found = set()
@@ -75,7 +75,7 @@ def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
 
 
 def _programs(proc: Path) -> dict[int, str]:
-    """The command line of each process."""
+    """Command lines of all processes, by process id."""
     found = {}
     for path in proc.glob("[0-9]*"):
         with suppress(OSError):
@@ -86,7 +86,7 @@ def _programs(proc: Path) -> dict[int, str]:
 
 
 def _is_ours(proc: Path, pid: int) -> bool:
-    """Whether it is this process or was started by it, as a recorder and its receiver are."""
+    """Return whether a process is this one or a descendant, such as a recorder's receiver."""
     with suppress(OSError):
         while pid > 1 and pid != os.getpid():
             pid = int((proc / str(pid) / "stat").read_text().rpartition(")")[2].split()[1])
@@ -94,7 +94,7 @@ def _is_ours(proc: Path, pid: int) -> bool:
 
 
 def _namespaces(proc: Path, pids: Iterable[int]) -> Iterator[tuple[Path, bool]]:
-    """A process of each network namespace that can be seen, this one's first; if it is another."""
+    """A process of each visible network namespace, this one's first, and whether it is another."""
     known: set[int] = set()
     for process in (proc / "self", *(proc / str(pid) for pid in pids)):
         with suppress(OSError):

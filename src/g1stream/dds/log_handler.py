@@ -1,4 +1,4 @@
-"""The logging handler that publishes events as samples of rt/g1stream/log."""
+"""Logging handler that publishes events on the topic rt/g1stream/log."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["LogHandler", "dds_log_handler"]
 
 
 class LogHandler(logging.Handler):
-    """Publishes log records as `Log`, stamped with the time at which they were logged.
+    """Publishes log records as `Log` messages, with the time of logging as publish time.
 
     Args:
-        name: of the program, such as `stream`; published with every event.
-        publish: takes the sample and its publish time, ns since the epoch.
+        name: name of the program, such as `stream`, which is published with every event.
+        publish: called with the sample and its publish time, ns since the epoch.
     """
 
     def __init__(self, name: str, publish: Callable[[bytes, int], object]) -> None:
@@ -36,13 +36,13 @@ class LogHandler(logging.Handler):
             self._message.level[()] = severity(record)
             self._message.text = record.getMessage()
             self._publish(self._message.tobytes(), int(record.created * 1e9))
-        except Exception:  # a handler must not raise where somebody logs
+        except Exception:  # a handler must not raise in the code that logs
             self.handleError(record)
 
 
 def dds_log_handler(participant: Participant, name: str) -> LogHandler:
-    """A handler that publishes on DDS.
+    """Make a handler that publishes on DDS.
 
-    It leaves the topic with its participant, so records must be handled before that closes.
+    Its writer is closed with the participant, so all records must be handled before that.
     """
     return LogHandler(name, RawWriter(participant, LOG, depth=100).write)

@@ -1,10 +1,9 @@
-"""Samples as the bytes they are on the wire, with their fields as numpy arrays.
+"""Messages of the DDS topics: serialised samples with numpy views of their fields.
 
-A message object owns one buffer for its whole life: `load` copies received bytes into it, `tobytes`
-copies them out to be written, and the views between show the fields in place. Views of scalars have
-the shape () and are written with `message.tick[()] = 5`. `Samples` reads a field of many samples at
-once. Motors are in motor order; the wire's arrays of 35 are shown up to the 29th, which is the last
-that a G1 has.
+A message object owns one buffer. `load` copies received bytes into it, `tobytes` returns a copy for
+writing, and views show the fields in place. Views of scalars have the shape () and are written with
+`message.tick[()] = 5`. `Samples` reads a field of many samples at once. Motors are in motor order.
+The messages have arrays of 35 motors, of which the views show the first 29, the motors of a G1.
 """
 
 from __future__ import annotations
@@ -56,8 +55,8 @@ class Message:
     """One sample of a fixed-size type.
 
     Attributes:
-        idl_type: the cyclonedds class that names the type on the wire.
-        payload: (size,) uint8, the sample without its CDR header; every view points into it.
+        idl_type: the cyclonedds class with the type name on DDS.
+        payload: (size,) uint8, the sample without its CDR header, which all views refer to.
     """
 
     idl_type: ClassVar[Any]
@@ -74,7 +73,7 @@ class Message:
         return self.layout[path].view(self.payload)
 
     def load(self, data: bytes) -> None:
-        """Take over received bytes, CDR header included.
+        """Copy received bytes, including the CDR header, into this message.
 
         Raises:
             WireError: the bytes are not one little-endian sample of this type.
@@ -83,14 +82,14 @@ class Message:
         self._buffer[:] = data
 
     def tobytes(self) -> bytes:
-        """The sample as it goes onto the wire, CDR header included."""
+        """The serialised sample, including the CDR header; a copy."""
         return bytes(self._buffer)
 
 
 class _Motors(Message):
-    """A message that holds all motors and ends in Unitree's checksum."""
+    """A message with all motors that ends with Unitree's checksum."""
 
-    #: The wire's array of motors.
+    #: Name of the array of motors in the IDL.
     motors: ClassVar[str]
 
     def __init__(self) -> None:
@@ -99,7 +98,7 @@ class _Motors(Message):
         self.crc = self.view("crc")
         self.mode_pr = self.view("mode_pr")
         self.mode_machine = self.view("mode_machine")
-        # The first motor's mode is not in step with the others', so that no view can show them all.
+        # The offset of the first motor's mode is irregular, so there is no view of all modes.
         self._modes = self.layout[f"{self.motors}.mode"].offsets[:N_JOINTS]
 
     def motor_view(self, name: str) -> NDArray[Any]:
@@ -108,7 +107,7 @@ class _Motors(Message):
 
     @property
     def motor_mode(self) -> NDArray[np.uint8]:
-        """(29,) uint8, 1 for a motor that is enabled; a copy."""
+        """(29,) uint8, 1 for an enabled motor; a copy."""
         return self.payload[self._modes]
 
     @motor_mode.setter
@@ -116,22 +115,22 @@ class _Motors(Message):
         self.payload[self._modes] = mode
 
     def seal(self) -> bytes:
-        """Fill in the checksum and return the sample as it goes onto the wire."""
+        """Set the checksum and return the serialised sample."""
         self.crc[()] = self._crc.compute(self.payload)
         return bytes(self._buffer)
 
     def crc_matches(self) -> bool:
-        """Whether the sample carries its own checksum."""
+        """Return whether the checksum is right."""
         return self._crc.matches(self.payload)
 
 
 class LowCmd(_Motors):
-    """The command to all motors, topic rt/lowcmd; to arms and waist only, topic rt/arm_sdk.
+    """The command to all motors (topic rt/lowcmd), or to arms and waist only (topic rt/arm_sdk).
 
     Attributes:
         q, dq, tau, kp, kd: (29,) float32: rad, rad/s, N·m, N·m/rad, N·m·s/rad.
-        weight: () float32, on rt/arm_sdk the share of these commands, 0 to 1; the rest is the
-            onboard controller's. It is the q of a motor that no G1 has.
+        weight: () float32, on rt/arm_sdk the share of this command, 0 to 1; the onboard controller
+            has the rest. It is the q of motor 29, which no G1 has.
         mode_pr, mode_machine: () uint8.
     """
 
@@ -151,17 +150,17 @@ class LowState(_Motors):
 
     Attributes:
         q, dq, ddq, tau_est: (29,) float32: rad, rad/s, rad/s^2, N·m.
-        quaternion: (4,) float32, wxyz, pelvis to world (yaw as the IMU counts it).
-        gyroscope, accelerometer: (3,) float32, pelvis frame, rad/s and m/s^2, gravity included.
+        quaternion: (4,) float32, wxyz, pelvis to world (yaw relative to the IMU's start).
+        gyroscope, accelerometer: (3,) float32, pelvis frame, rad/s and m/s^2, including gravity.
         rpy: (3,) float32, rad.
         tick: () uint32, ms.
         mode_pr, mode_machine: () uint8.
         temperature: (29, 2) int16, of casing and winding, °C.
-        vol: (29,) float32, supply of the motor, V.
+        vol: (29,) float32, supply voltage of the motor, V.
         motorstate: (29,) uint32, faults of the motor, one bit each.
         wireless_remote: (40,) uint8, see `g1stream.dds.remote`.
-        published, received: int, ns since the epoch, set by who received it: its source timestamp,
-            and when it was taken; 0 where that is not known.
+        published, received: int, source timestamp and time of reception, ns since the epoch, set by
+            the receiver; 0 if unknown.
     """
 
     idl_type = types.LowState_
@@ -198,7 +197,7 @@ class LowState(_Motors):
         return int.from_bytes(self._buttons.tobytes(), "little")
 
     def readings(self) -> NDArray[np.float32]:
-        """(97,) float32, a copy: q, dq, tau_est, quaternion, gyroscope, accelerometer."""
+        """(97,) float32, a copy of q, dq, tau_est, quaternion, gyroscope and accelerometer."""
         return self._words.take(self._reading_words)
 
 
@@ -215,12 +214,12 @@ class SecondaryImu(Message):
 
 
 class SportModeState(Message):
-    """The base as a simulator knows it, topic rt/sportmodestate.
+    """The true base pose from a simulator, topic rt/sportmodestate.
 
     Attributes:
         position, velocity: (3,) float32, of the pelvis in the world, m and m/s.
-        quaternion: (4,) float32, wxyz, pelvis to world; 0 where the simulator does not set it.
-        sec, nanosec: () the simulator's own time.
+        quaternion: (4,) float32, wxyz, pelvis to world; 0 if the simulator does not set it.
+        sec, nanosec: () the simulator's time.
     """
 
     idl_type = types.SportModeState_
@@ -237,19 +236,19 @@ class SportModeState(Message):
 class Reference(Message):
     """The target of the motion at the publish time of its LowCmd, topic rt/g1stream/reference.
 
-    Its doubles are rounded to single precision, as those of the LowCmd are.
+    Its doubles are rounded to single precision, like the values of the LowCmd.
 
     Attributes:
-        tick: () uint64, counts the references published.
+        tick: () uint64, number of the reference.
         motion_time: () float64, s since the motion's first frame.
         phase: () uint8, a `g1stream.types.Phase`.
-        played: () uint32, which joints play the motion, see `played_joints`.
+        played: () uint32, joints that play the motion, see `played_joints`.
         q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, N·m.
         root_pos: (3,) float64, m, world.
         root_quat_wxyz: (4,) float64, pelvis to world.
         root_lin_vel: (3,) float64, m/s, world.
         root_ang_vel: (3,) float64, rad/s, pelvis frame.
-        target: (129,) float64, all from `q` to `root_ang_vel`, one after the other.
+        target: (129,) float64, all fields from `q` to `root_ang_vel`, concatenated.
     """
 
     idl_type = types.Reference_
@@ -272,21 +271,21 @@ class Reference(Message):
 
 
 class PolicyStep(Message):
-    """A step of a learned policy, topic rt/g1stream/policy; published with its first LowCmd.
+    """A step of a learned policy, topic rt/g1stream/policy, published with its first LowCmd.
 
     Attributes:
-        tick: () uint64, of the Reference beside that LowCmd.
-        state_published, state_received: () uint64, ns since the epoch: when the LowState that was
-            observed was published, 0 where that is not known, and received.
-        state_age: () float64, s from then to the observation.
-        motion_time: () float64, s, of the reference that is observed.
-        inference_time: () float64, s in the network.
-        step: () uint32, since the policy took the robot over, at 0.
-        repeated: () uint32, how often in a row the last finite action has stood in for one that is
-            not; 0 for a finite one.
-        n_observation: () uint32, how many values are observed.
-        observation: (1024,) float32, as the network takes it.
-        action: (29,) float32, as the network gave it, motor order.
+        tick: () uint64, tick of the Reference that is published with that LowCmd.
+        state_published, state_received: () uint64, publish time (0 if unknown) and reception time
+            of the observed LowState, ns since the epoch.
+        state_age: () float64, time from the reception to the observation, s.
+        motion_time: () float64, motion time of the observed reference, s.
+        inference_time: () float64, computation time of the network, s.
+        step: () uint32, number of the step; 0 when the policy takes over the robot.
+        repeated: () uint32, number of steps in a row in which the last finite action replaced one
+            that is not finite; 0 for a finite action.
+        n_observation: () uint32, number of observed values.
+        observation: (1024,) float32, input of the network.
+        action: (29,) float32, output of the network, motor order.
     """
 
     idl_type = types.Policy_
@@ -305,12 +304,12 @@ class PolicyStep(Message):
 
 
 def played_bits(played: NDArray[np.bool_]) -> int:
-    """A Reference's `played` of (29,) which joints play the motion."""
+    """Encode (29,) joints that play the motion as `played` of a Reference."""
     return sum(1 << joint for joint in np.flatnonzero(played).tolist())
 
 
 def played_joints(bits: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """(..., 29) which joints play the motion, of a Reference's `played` (...); all if it is 0."""
+    """Decode `played` (...) of References into (..., 29) joints; 0 stands for all joints."""
     one = np.asarray(bits, np.uint32)[..., np.newaxis] >> np.arange(N_JOINTS, dtype=np.uint32) & 1
     return np.asarray((one == 1) | ~one.any(axis=-1, keepdims=True))
 
@@ -325,8 +324,8 @@ class _Text:
         return message.view(self._name).tobytes().rstrip(b"\0").decode(errors="replace")
 
     def __set__(self, message: Message, value: str) -> None:
-        # A character cut in two at the end is left out rather than sent broken; what has no UTF-8,
-        # such as bytes in a file's name, becomes a question mark.
+        # An incomplete character at the end is left out. Characters without UTF-8 encoding, such as
+        # bytes in a file's name, become question marks.
         field = message.view(self._name)
         encoded = value.encode(errors="replace")[: field.size]
         cut = encoded.decode(errors="ignore").encode()
@@ -338,7 +337,7 @@ class Log(Message):
 
     Attributes:
         level: () uint8: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
-        name, text: str, cut to what the fixed fields hold.
+        name, text: str, cut to the size of their fields.
     """
 
     idl_type = types.Log_
@@ -355,10 +354,10 @@ class Batch:
     """Received samples of one topic, oldest first.
 
     Attributes:
-        data: each sample as it is on the wire, CDR header included.
-        log_times: when each was received here, CLOCK_REALTIME, ns.
-        publish_times: when its writer published it, ns.
-        writers: Cyclone's handle of its writer.
+        data: the serialised samples, including the CDR header.
+        log_times: reception times, ns of CLOCK_REALTIME.
+        publish_times: publish times, ns.
+        writers: Cyclone's handles of their writers.
     """
 
     data: list[bytes] = field(default_factory=list)
@@ -371,12 +370,12 @@ class Samples:
     """The fields of many samples of one topic: `samples["imu_state.gyroscope"]` is (N, 3).
 
     Args:
-        topic: whose samples they are.
-        data: (N) samples as they were on the wire, CDR header included; or (N, size) uint8 with one
-            in each row.
+        topic: topic of the samples.
+        data: (N) serialised samples, including the CDR header; or (N, size) uint8 with a sample in
+            each row.
 
     Raises:
-        WireError: one of them is not one little-endian sample of the topic's type.
+        WireError: an item is not one little-endian sample of the topic's type.
     """
 
     def __init__(self, topic: Topic, data: Sequence[bytes] | NDArray[np.uint8]) -> None:
@@ -395,24 +394,24 @@ class Samples:
         self._payloads = rows[:, len(CDR_HEADER) : len(CDR_HEADER) + layout.size]
 
     def __getitem__(self, path: str) -> NDArray[Any]:
-        """(N, ...) a field by its dotted path in the IDL, in the wire's own precision; a copy."""
+        """(N, ...) a field by its dotted path in the IDL, with the precision of the IDL; a copy."""
         copied: NDArray[Any] = self.shown(path).copy()
         return copied
 
     def shown(self, path: str) -> NDArray[Any]:
-        """(N, ...) the same, a view of the samples where it can be: for who copies it at once."""
+        """(N, ...) as `samples[path]`, but a view of the samples if possible."""
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values
 
 
 def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDArray[np.uint8]:
-    """(n, size) samples of a topic, as `Samples` reads them, with their checksums.
+    """Encode (n, size) samples of a topic for `Samples`, with their checksums.
 
     Args:
-        topic: whose samples they are.
-        values: by dotted path in the IDL, (n, ...) values of fields; the others are 0. Of motors
-            the first 29 are given.
-        n: how many.
+        topic: topic of the samples.
+        values: (n, ...) values of fields by dotted path in the IDL; the other fields are 0. Fields
+            of motors have 29 values.
+        n: number of samples.
     """
     layout = Layout.of(topic.idl_type)
     rows = np.zeros((n, layout.sample_size), np.uint8)
@@ -433,14 +432,14 @@ def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDA
 
 @dataclass(frozen=True)
 class Topic:
-    """A DDS topic: its name on the wire and the message it carries."""
+    """A DDS topic with its name and message class."""
 
     name: str
     message: type[Message]
 
     @property
     def idl_type(self) -> Any:
-        """The cyclonedds class that names the type on the wire."""
+        """The cyclonedds class with the type name on DDS."""
         return self.message.idl_type
 
 
@@ -454,6 +453,6 @@ POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
 COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": ARM_SDK}
-"""Where commands go, by `stream.via`."""
+"""Topics of commands, by `stream.via`."""
 
 TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, POLICY, LOG)

@@ -1,8 +1,8 @@
-"""Unitree's motion service, which starts and stops the robot's own controllers: types and client.
+"""Types and client of Unitree's motion service, which starts and stops the robot's controllers.
 
-A call is a `Request_` on rt/api/motion_switcher/request; its answer is the `Response_` with the
+A call is a `Request_` on rt/api/motion_switcher/request. Its answer is the `Response_` with the
 same id on rt/api/motion_switcher/response. Parameters and data are JSON. Unlike the topics of the
-loop these types have strings, so that Cyclone DDS serialises them; idl/unitree_api is their source.
+loop, these types have strings, so Cyclone DDS serialises them; idl/unitree_api is their source.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ REQUEST_TOPIC: Final = "rt/api/motion_switcher/request"
 RESPONSE_TOPIC: Final = "rt/api/motion_switcher/response"
 
 API_VERSION: Final = "1.0.0.1"
-"""Of the service, as Unitree's SDK has it."""
+"""Version of the service's API, as in Unitree's SDK."""
 
 
 class ApiId(IntEnum):
-    """What is called; SET_SILENT and GET_SILENT of the service are not used here."""
+    """Calls of the service; its SET_SILENT and GET_SILENT are not used here."""
 
     API_VERSION = 1
     CHECK_MODE = 1001
@@ -72,7 +72,7 @@ class ErrorCode(IntEnum):
 
 
 _MEANINGS: Final = {
-    ErrorCode.NOT_IMPLEMENTED: "it does not know the call",
+    ErrorCode.NOT_IMPLEMENTED: "it does not support the call",
     ErrorCode.PARAMETER: "the parameter is invalid",
     ErrorCode.BUSY: "it is busy",
     ErrorCode.NAME: "it has no mode of that name",
@@ -104,25 +104,26 @@ Response_ = idl_struct(
     f"{_PACKAGE}Response_", header=_ResponseHeader, data=str, binary=types.sequence[octet]
 )
 
-#: How often CheckMode, which changes nothing, is sent again until it is answered, s: an answer
-#: that is published before our reader has been discovered is lost.
+#: Interval at which CheckMode, which changes nothing, is repeated until it is answered, s. An
+#: answer that is published before this reader has been discovered is lost.
 _RESEND: Final = 0.3
 _POLL: Final = 0.005  # s
-#: Calls and answers that are kept between two takes.
+#: Number of calls and answers that are kept between two takes.
 _DEPTH: Final = 16
 
 
 def response_to(request: Any, code: ErrorCode, data: str = "") -> Any:
-    """The `Response_` to a `Request_`."""
+    """Make the `Response_` to a `Request_`."""
     header = _ResponseHeader(identity=request.header.identity, status=_ResponseStatus(code=code))
     return Response_(header=header, data=data, binary=[])
 
 
 class ApiEndpoint:
-    """One side of the service: a reliable writer of one topic, a reader of the other.
+    """One side of the service: a reliable writer of one topic, and a reader of the other.
 
     Args:
-        serves: the side of the service; else that of a client.
+        participant: the DDS participant.
+        serves: the side of the service; False: the side of a client.
     """
 
     def __init__(self, participant: Participant, *, serves: bool) -> None:
@@ -130,7 +131,7 @@ class ApiEndpoint:
         response = Topic(participant.entity, RESPONSE_TOPIC, Response_)
         incoming, outgoing = (request, response) if serves else (response, request)
         depth = Policy.History.KeepLast(_DEPTH)
-        # As the SDK's: a call or answer that the network loses is repeated by the caller.
+        # As in the SDK; the caller repeats a call or answer that the network loses.
         best_effort = Qos(Policy.Reliability.BestEffort, depth)
         self._reader: Any = DataReader(participant.entity, incoming, best_effort)
         reliable = Qos(Policy.Reliability.Reliable(0), depth)
@@ -145,7 +146,7 @@ class ApiEndpoint:
         self._writer.write(sample)
 
     def take(self) -> list[Any]:
-        """What was received since the last take, oldest first; not what cannot be decoded."""
+        """Take the samples since the last take, oldest first, without undecodable ones."""
         received = []
         for _ in range(_DEPTH):
             try:
@@ -160,11 +161,11 @@ class ApiEndpoint:
 
 @dataclass(frozen=True)
 class OnboardStatus:
-    """What the motion service says about itself.
+    """Status of the motion service.
 
     Attributes:
-        form: of the robot, "0" unless it has wheels.
-        name: of the active mode, such as `ai`; empty where none is active.
+        form: form of the robot; "0" without wheels.
+        name: name of the active mode, such as `ai`; empty if none is active.
     """
 
     form: str
@@ -172,11 +173,11 @@ class OnboardStatus:
 
 
 class MotionSwitcherClient:
-    """Calls the motion service, as MotionSwitcherClient of Unitree's SDK does.
+    """Client of the motion service, like MotionSwitcherClient of Unitree's SDK.
 
     Args:
-        participant: of the robot's domain.
-        timeout: the longest wait for an answer, discovery included, s.
+        participant: a participant in the robot's domain.
+        timeout: maximum wait for an answer, including discovery, s.
     """
 
     def __init__(self, participant: Participant, timeout: float = 5.0) -> None:
@@ -185,10 +186,10 @@ class MotionSwitcherClient:
         self._endpoint = ApiEndpoint(participant, serves=False)
 
     def check(self) -> OnboardStatus:
-        """The robot's form and the active mode (CheckMode).
+        """Read the robot's form and the active mode (CheckMode).
 
         Raises:
-            WireError: no answer, an error code, or an answer that is not understood.
+            WireError: there is no answer, an error code, or an answer that cannot be decoded.
         """
         data = self._call(ApiId.CHECK_MODE, resend=_RESEND)
         try:
@@ -202,12 +203,12 @@ class MotionSwitcherClient:
             ) from error
 
     def release(self) -> None:
-        """End the active mode (ReleaseMode): the robot goes limp.
+        """End the active mode (ReleaseMode); the robot goes limp.
 
         Raises:
-            WireError: no answer, an error code, or the mode remains active.
+            WireError: there is no answer, an error code, or the mode remains active.
         """
-        self.check()  # the service is discovered now, so that one request suffices
+        self.check()  # afterwards the service is discovered, so one request is sufficient
         self._call(ApiId.RELEASE_MODE)
         self._wait_for("")
 
@@ -215,7 +216,7 @@ class MotionSwitcherClient:
         """Start a mode (SelectMode).
 
         Raises:
-            WireError: no answer, an error code, or the mode does not become active.
+            WireError: there is no answer, an error code, or the mode does not become active.
         """
         self.check()
         self._call(ApiId.SELECT_MODE, name=name)
@@ -228,12 +229,12 @@ class MotionSwitcherClient:
                 raise WireError(
                     f"The motion service accepted the call, but its active mode is "
                     f"{active or 'none'} {self._timeout:g} s later.",
-                    "Look at the robot, and run the command again.",
+                    "Check the robot, and run the command again.",
                 )
             time.sleep(_RESEND)
 
     def _call(self, api: ApiId, *, resend: float | None = None, **parameter: str) -> str:
-        """The data of the answer; the request is repeated each `resend` s until it comes."""
+        """Send a request, repeated every `resend` s, and return the data of the answer."""
         number = time.monotonic_ns()
         header = _RequestHeader(
             identity=_RequestIdentity(id=number, api_id=api),
@@ -261,11 +262,11 @@ class MotionSwitcherClient:
             return
         known = code in ErrorCode.__members__.values()
         meaning = f": {_MEANINGS[ErrorCode(code)]}" if known else ""
-        again = "Try again in some seconds." if code == ErrorCode.BUSY else ""
+        again = "Try again in a few seconds." if code == ErrorCode.BUSY else ""
         raise WireError(
             f"The motion service refuses {_call_name(api)} with code {code}{meaning}.",
             again
-            or "See what is active with `g1stream robot status`; modes of a G1 are named ai, "
+            or "Show the active mode with `g1stream robot status`; the modes of a G1 are ai, "
             "normal and advanced.",
         )
 
@@ -275,16 +276,16 @@ class MotionSwitcherClient:
             return WireError(
                 f"The motion service in {where} does not answer {_call_name(api)} within "
                 f"{self._timeout:g} s.",
-                "Check the network, and give it more time with --timeout.",
+                "Check the network, or wait longer with --timeout.",
             )
         return WireError(
             f"There is no motion service in {where}: no subscriber on {REQUEST_TOPIC} within "
             f"{self._timeout:g} s.",
             "Check the robot, the domain and the interface with `g1stream doctor`; unitree_mujoco "
-            "has no such service.",
+            "does not have this service.",
         )
 
 
 def _call_name(api: ApiId) -> str:
-    """As Unitree's documentation spells it, such as `CheckMode`."""
+    """Name of a call as in Unitree's documentation, such as `CheckMode`."""
     return "".join(part.capitalize() for part in api.name.split("_"))

@@ -1,4 +1,4 @@
-"""What `g1stream.dds.types` needs of cyclonedds, where that cannot be imported."""
+"""Replacement for the parts of cyclonedds in `g1stream.dds.types`, if it cannot be imported."""
 
 from types import SimpleNamespace
 from typing import Annotated, Any, Final, NamedTuple
@@ -21,7 +21,7 @@ def _same(kind: Any) -> Any:
 
 
 def make_idl_struct(_: str, typename: str, fields: dict[str, Any]) -> Any:
-    """A class with the annotations of a struct, and no serialiser."""
+    """Make a class with the annotations of a struct, without a serialiser."""
     return type(typename, (), {"__annotations__": fields, "__idl_typename__": typename})
 
 

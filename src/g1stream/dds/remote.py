@@ -1,8 +1,7 @@
-"""The robot's own remote control, as LowState's `wireless_remote` shows it; pure.
+"""The robot's remote control, from `wireless_remote` of LowState. Pure.
 
-40 bytes, of which bytes 2 and 3 are the buttons, one bit for each, little endian. Source: the
-joystick classes of Unitree's SDK. Where there is no remote, as in a simulator without a joystick,
-all are zero.
+Bytes 2 and 3 of the 40 bytes are the buttons, one bit each, little endian (source: the joystick
+classes of Unitree's SDK). Without a remote, as in a simulator without a joystick, all bytes are 0.
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ BUTTONS: Final = (
     "down",
     "left",
 )
-"""The buttons by their bit, lowest first."""
+"""The buttons in the order of their bits, lowest first."""
 
 BUTTONS_AT: Final = slice(2, 4)
-"""The bytes of the buttons."""
+"""The bytes of `wireless_remote` with the buttons."""
 
 
 def button_mask(combination: str, setting: str) -> int:
-    """The bits of buttons that are pressed together, such as `L2+B`.
+    """The bits of a combination of buttons, such as `L2+B`.
 
     Raises:
-        ConfigError: a button does not exist; names the setting.
+        ConfigError: a button does not exist; the error names the setting.
     """
     mask = 0
     known = {name.lower(): bit for bit, name in enumerate(BUTTONS)}
@@ -52,19 +51,19 @@ def button_mask(combination: str, setting: str) -> int:
         bit = known.get(name.strip().lower())
         if bit is None:
             raise ConfigError(
-                f"{setting} = {combination!r} names no button of the remote: {name.strip()!r}.",
-                f"Choose from {', '.join(BUTTONS)}; join those pressed together by +.",
+                f"{setting} = {combination!r}: the remote has no button {name.strip()!r}.",
+                f"Choose from {', '.join(BUTTONS)}; join buttons that are pressed together with +.",
             )
         mask |= 1 << bit
     return mask
 
 
 class Operator:
-    """What the operator asks for with the remote.
+    """Evaluates the stop buttons and the deadman button of the remote.
 
     Args:
         stop_buttons: combinations of buttons, each of which ends the session.
-        deadman: buttons that have to be held as long as the robot moves; None: nothing has to.
+        deadman: buttons that must be held while the robot moves; None: no deadman button.
 
     Raises:
         ConfigError: a button does not exist.
@@ -76,17 +75,17 @@ class Operator:
         self._held = 0 if deadman is None else button_mask(deadman, "safety.deadman")
 
     def missing(self, buttons: int) -> str:
-        """What the first command still waits for, or "".
+        """Why the first command has to wait, or "".
 
         Args:
-            buttons: the bits of those that are pressed.
+            buttons: the bits of the pressed buttons.
         """
         if buttons & self._held != self._held:
             return f"{self._deadman} is not held on the remote (safety.deadman)"
         return self._stop(buttons)
 
     def stop_reason(self, buttons: int) -> str:
-        """Why the session must end, or "", once the robot is commanded."""
+        """Why a session that commands the robot must end, or ""."""
         if stop := self._stop(buttons):
             return stop
         if buttons & self._held != self._held:

@@ -1,4 +1,4 @@
-"""What the ticks of received samples say about those that did not arrive."""
+"""Count lost samples by the ticks of the received ones."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections import Counter
 __all__ = ["TickGaps"]
 
 _WRAP = 2**32
-#: A step of more samples than this is no loss: the publisher started anew.
+#: Step, in samples, above which the publisher was restarted and no samples were lost.
 _MAX_LOST = 10_000
 
 
 class TickGaps:
-    """Counts samples and, from the steps of their ticks, those that never came.
+    """Counts received samples and, from the steps of their ticks, lost samples.
 
-    Publishers differ in what a tick is: our own bridge counts milliseconds by its own step;
-    unitree_mujoco's C++ bridge stamps simulated time faster than that advances, so that ticks
-    repeat and jump without a loss; its Python bridge leaves the tick 0. So `missed` is a number of
-    lost samples only where the publisher is our own; elsewhere `jumps` is a hint at most. Memory
-    does not grow with what is counted beyond the number of different steps.
+    The tick depends on the publisher. g1stream's bridge counts ms, with a constant step.
+    unitree_mujoco's C++ bridge publishes more often than its simulated time advances, so ticks
+    repeat and jump without a loss. Its Python bridge leaves the tick 0. Therefore `missed` is the
+    number of lost samples only for g1stream's own publishers; for others, `jumps` is only a hint.
+    Memory grows only with the number of different steps.
 
     Attributes:
-        received: samples counted.
-        restarts: how often the tick went back: the publisher started anew.
+        received: number of received samples.
+        restarts: how often the tick went back because the publisher was restarted.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class TickGaps:
         self._steps: Counter[int] = Counter()
 
     def add(self, tick: int) -> None:
-        """Count a sample with this tick, uint32."""
+        """Add a sample with this tick, uint32."""
         self.received += 1
         if self._last is not None:
             step = (tick - self._last) % _WRAP
@@ -44,20 +44,20 @@ class TickGaps:
 
     @property
     def step(self) -> int | None:
-        """The tick's usual step; None while it is not known or the tick stands still."""
+        """The most frequent step of the tick; None before the tick has changed."""
         moving = [(count, -step) for step, count in self._steps.items() if step]
         return -max(moving)[1] if moving else None
 
     @property
     def jumps(self) -> int:
-        """How many steps skipped at least one tick of the usual step."""
+        """Number of steps of at least twice the usual step."""
         usual = self.step
         return 0 if usual is None else sum(n for k, n in self._steps.items() if k >= 2 * usual)
 
     def missed(self, step: float) -> int:
-        """How many samples did not come, of a publisher whose ticks are this far apart, 1 or more.
+        """Number of lost samples of a publisher with this step of the tick, 1 or more.
 
-        A tick is rounded down. So many samples, at least, are in the time that has passed.
+        Ticks are rounded down, so this is a lower bound.
         """
         steps = [(k, n) for k, n in self._steps.items() if k < _MAX_LOST * step]
         passed, received = sum(k * n for k, n in steps), sum(n for _, n in steps)

@@ -1,15 +1,15 @@
-"""The types of the robot's topics as cyclonedds classes, kept in step with idl/ by a test.
+"""The types of the robot's topics as cyclonedds classes; a test compares them with idl/.
 
-They exist to give topics their names and type information, and to derive the fixed layouts from.
-No sample is ever built from them: see `g1stream.dds.endpoints`. Where cyclonedds cannot be
-imported, plain classes give the layouts, with which files can be read.
+They provide the type names and type information of topics, and the fixed layouts are derived from
+them. Samples are not instances of them, see `g1stream.dds.endpoints`. If cyclonedds cannot be
+imported, plain classes provide the layouts, so that files can be read.
 """
 
 from typing import Any, Final
 
 try:
     from cyclonedds.idl import annotations, make_idl_struct, types
-except Exception:  # not installed, or it cannot load its library
+except Exception:  # not installed, or its library cannot be loaded
     from g1stream.dds.no_cyclone import annotations, make_idl_struct, types
 
 __all__ = [
@@ -24,9 +24,9 @@ __all__ = [
     "SportModeState_",
 ]
 
-# From cyclonedds 11 on, `types.uint8` is XTypes' UINT8, which 0.10.2 does not know: every process
-# of the SDK that shares the topic then dies of a segmentation fault. IDL's octet is `types.byte`
-# there; 0.10.2 has no such name and calls the very same thing `types.uint8`.
+# From cyclonedds 11 on, `types.uint8` is XTypes' UINT8, which 0.10.2 does not know; every SDK
+# process on the topic then crashes with a segmentation fault. There, IDL's octet is `types.byte`.
+# 0.10.2 does not have this name, and its `types.uint8` is the octet.
 octet: Final = types.byte if hasattr(types, "byte") else types.uint8
 
 int16, int32 = types.int16, types.int32
@@ -36,18 +36,18 @@ array = types.array
 
 
 def idl_struct(typename: str, /, **fields: Any) -> Any:
-    """A final, sequentially numbered IDL struct, as the SDK declares all of its own."""
+    """Make a final, sequentially numbered IDL struct, as the SDK declares its structs."""
     cls = make_idl_struct(typename.rsplit(".", maxsplit=1)[-1], typename, fields)
     return annotations.final(annotations.autoid("sequential")(cls))
 
 
 def _each(element: Any, names: str) -> dict[str, Any]:
-    """Fields of the same type that follow one another."""
+    """Consecutive fields of the same type."""
     return dict.fromkeys(names.split(), element)
 
 
 def _imu(typename: str, temperature: Any) -> Any:
-    """Unitree's IMU; its two packages differ in the type of the temperature."""
+    """Unitree's IMU state; the types of its temperature differ between Unitree's two packages."""
     vectors = _each(array[float32, 3], "gyroscope accelerometer rpy")
     return idl_struct(typename, quaternion=array[float32, 4], **vectors, temperature=temperature)
 

@@ -1,4 +1,4 @@
-"""The UDP sockets of this machine, as Linux tells them in /proc."""
+"""The UDP sockets of this machine, from /proc of Linux."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class UdpSocket(NamedTuple):
     """A UDP socket.
 
     Attributes:
-        port: that it is bound to.
-        connected: whether it has a peer.
-        uid: of its user.
-        inode: by which a process refers to it, see `socket_inodes`.
-        dropped: datagrams that the kernel discarded because its buffer was full.
+        port: the bound port.
+        connected: whether it is connected to a peer.
+        uid: user id of its owner.
+        inode: inode, which identifies the socket in a process, see `socket_inodes`.
+        dropped: number of datagrams that the kernel discarded because the buffer was full.
     """
 
     port: int
@@ -35,19 +35,19 @@ class UdpSocket(NamedTuple):
 
 
 def socket_inodes(process: Path) -> Iterator[int]:
-    """The inodes of a process's sockets; none where this user may not see them.
+    """Inodes of a process's sockets; none without permission.
 
-    `process` is its directory, such as /proc/self.
+    `process` is the directory of the process, such as /proc/self.
     """
     with suppress(OSError):
         for file in (process / "fd").iterdir():
-            with suppress(OSError):  # closed in the meantime
+            with suppress(OSError):  # the file was closed meanwhile
                 if match := re.fullmatch(r"socket:\[(\d+)\]", str(file.readlink())):
                     yield int(match[1])
 
 
 def udp_sockets(process: Path) -> Iterator[UdpSocket]:
-    """All UDP sockets in a process's network namespace; none where that cannot be seen."""
+    """All UDP sockets in a process's network namespace; none without permission."""
     for name in ("udp", "udp6"):
         with suppress(OSError):
             for line in (process / "net" / name).read_text().splitlines()[1:]:

@@ -1,1 +1,1 @@
-"""Diagnosis of DDS and of this machine: facts are gathered first, then evaluated purely."""
+"""Diagnosis of DDS and of this machine; it gathers facts first, and then evaluates them."""

@@ -1,6 +1,6 @@
-"""The doctor's records: facts that it gathers, and findings that it derives from them.
+"""Records of the doctor: the gathered facts, and the findings from them.
 
-They are plain values, so that every rule can be tested without DDS.
+They are plain values, so every rule can be tested without DDS.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Level(IntEnum):
 
 
 class Finding(records.Finding):
-    """The result of one check; its level is a lower-case name in JSON."""
+    """The result of one check; in JSON, its level is a lower-case name."""
 
     model_config = ConfigDict(frozen=True)
 
     level: Level
-    figures: dict[str, int | float] = Field(default_factory=dict)  # measured, by name and unit
+    figures: dict[str, int | float] = Field(default_factory=dict)  # measurements by name_unit
 
     @field_serializer("level")
     def _level_name(self, level: Level) -> str:
@@ -41,50 +41,50 @@ class Finding(records.Finding):
 
 
 def ok(about: str, cause: str) -> Finding:
-    """A finding without a problem."""
+    """Make a finding without a problem."""
     return Finding(level=Level.OK, about=about, cause=cause)
 
 
 def warning(about: str, cause: str, remedy: str) -> Finding:
-    """A finding that may degrade a session."""
+    """Make a finding that may degrade a session."""
     return Finding(level=Level.WARNING, about=about, cause=cause, remedy=remedy)
 
 
 def problem(about: str, cause: str, remedy: str) -> Finding:
-    """A finding that prevents a session."""
+    """Make a finding that prevents a session."""
     return Finding(level=Level.PROBLEM, about=about, cause=cause, remedy=remedy)
 
 
 @dataclass(frozen=True)
 class Interface:
-    """A network interface and the kernel's flags of it."""
+    """A network interface with its kernel flags."""
 
     name: str
     up: bool = True
     loopback: bool = False
     multicast: bool = True
-    address: str = "127.0.0.1"  # IPv4; empty where it has none
+    address: str = "127.0.0.1"  # IPv4; empty without an address
 
 
 @dataclass(frozen=True)
 class HostFacts:
-    """The machine that the doctor runs on; None or empty where a value cannot be read."""
+    """Facts about this machine; None or empty if a value cannot be read."""
 
     interfaces: tuple[Interface, ...]
     uri: str  # the user's CYCLONEDDS_URI
     cyclonedds: str  # version of the Python package
-    rmem_max: int | None  # the largest receive buffer of a socket, bytes
-    clock_source: str  # the kernel's
-    grants: tuple[Grant, ...]  # what the system grants a real-time thread
+    rmem_max: int | None  # maximum receive buffer of a socket, bytes
+    clock_source: str  # clock source of the kernel
+    grants: tuple[Grant, ...]  # real-time requests and their results
 
 
 @dataclass(frozen=True)
 class WakeupLatency:
-    """How late the kernel wakes a thread that has the loop's rights and does nothing else."""
+    """Wake-up latency of an idle thread with the scheduling of the loop."""
 
     rate: float  # deadlines per second, Hz
     deadlines: int
-    missed: int  # deadlines at which the thread ran a whole period late or more
+    missed: int  # deadlines at which the thread was late by a period or more
     median_ns: int
     worst_ns: int
 
@@ -95,10 +95,10 @@ class Qos:
 
     reliable: bool = False  # offered, or requested
     durability: int = 0  # 0 volatile, 1 transient local, 2 transient, 3 persistent
-    deadline: int = 2**63 - 1  # the longest time between two samples, ns
-    exclusive: bool = False  # ownership
-    partitions: tuple[str, ...] = ()  # empty: the default one
-    xcdr1: bool = True  # plain CDR is written, or can be read
+    deadline: int = 2**63 - 1  # maximum time between two samples, ns
+    exclusive: bool = False  # exclusive ownership
+    partitions: tuple[str, ...] = ()  # empty: the default partition
+    xcdr1: bool = True  # whether plain CDR is written, or can be read
 
 
 @dataclass(frozen=True)
@@ -107,28 +107,28 @@ class Peer:
 
     topic: str
     type_name: str
-    same_type: bool | None = True  # as that of g1stream; None where none is announced
+    same_type: bool | None = True  # whether its type is g1stream's; None if not announced
     qos: Qos = field(default_factory=Qos)
-    owner: str = "an unnamed participant"  # its process, or its participant
+    owner: str = "an unnamed participant"  # its process or participant
     participant: str = ""  # GUID
-    observer: bool = False  # announces that it does not act on what it reads
-    idle: bool = False  # announces that it has published no command, as a guard
+    observer: bool = False  # whether it announces not to act on samples
+    idle: bool = False  # whether it announces to have published no command, like a guard
 
 
 @dataclass(frozen=True)
 class StateFacts:
-    """The LowStates that were received while the doctor listened."""
+    """The LowStates that the doctor received."""
 
-    seconds: float  # for how long it listened
+    seconds: float  # duration of listening
     received: int = 0
-    malformed: int = 0  # samples that were not one LowState
-    ages_ms: tuple[float, float] = (0.0, 0.0)  # reception minus publish time: median, longest
-    tick_step: int | None = None  # usual, ms; None where the tick is constant
-    tick_jumps: int = 0  # steps that skipped a tick; without our bridge no more than a hint
-    missed: int | None = None  # lost by their ticks; None without our bridge
+    malformed: int = 0  # samples that are not a LowState
+    ages_ms: tuple[float, float] = (0.0, 0.0)  # reception minus publish time: median, maximum
+    tick_step: int | None = None  # most frequent step, ms; None if the tick is constant
+    tick_jumps: int = 0  # steps that skipped a tick; only a hint without g1stream's bridge
+    missed: int | None = None  # lost samples by ticks; None without g1stream's bridge
     crc_right: int = 0
     crc_zero: int = 0
-    mode_machine: int = 0  # of the last, as the two below
+    mode_machine: int = 0  # of the last LowState, like the next two fields
     has_rpy: bool = False
     has_motor_modes: bool = False
 
@@ -138,15 +138,15 @@ class WireFacts:
     """The endpoints and samples in a DDS domain.
 
     Attributes:
-        writers, readers: of other participants, on any topic.
-        state: what was received on rt/lowstate.
-        states_matched: how many writers of rt/lowstate match our reader.
-        commands_matched: how many subscribers of our commands that are no observers match a writer
-            of ours; None where we have no writer, as the doctor.
-        elsewhere: other places where rt/lowstate is published, (domain, interface, owner); looked
-            for only if it is not published here.
-        searched: the places that were searched for it, (domain, interface).
-        local: the programs of this machine that take part in any domain; likewise.
+        writers, readers: endpoints of other participants, on any topic.
+        state: LowStates received on rt/lowstate.
+        states_matched: number of writers of rt/lowstate that match the reader of this process.
+        commands_matched: number of command subscribers, without observers, that match the writer of
+            this process; None without a writer, as in the doctor.
+        elsewhere: other publishers of rt/lowstate, as (domain, interface, owner); searched only if
+            it is not published in this domain and on this interface.
+        searched: the searched places, as (domain, interface).
+        local: DDS programs on this machine in any domain; also only after a search.
     """
 
     writers: tuple[Peer, ...] = ()
@@ -159,20 +159,20 @@ class WireFacts:
     local: tuple[LocalParticipant, ...] = ()
 
     def writers_of(self, topic: str) -> list[Peer]:
-        """The writers of a topic."""
+        """Writers of a topic."""
         return [peer for peer in self.writers if peer.topic == topic]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Everything the doctor knows."""
+    """All facts that the doctor gathered."""
 
     domain: int
     interface: str
     allowed_robots: tuple[int, ...]  # values of mode_machine that may be commanded
     host: HostFacts
-    wire: WireFacts | None  # None where the domain could not be joined
+    wire: WireFacts | None  # None if the domain could not be joined
     join_error: str = ""  # why it could not be joined
-    wakeup_latency: WakeupLatency | None = None  # None where it was not measured
-    via: Via = "lowcmd"  # what is to be commanded
-    ros_domain: int | None = None  # ROS_DOMAIN_ID, where no domain was given
+    wakeup_latency: WakeupLatency | None = None  # None if not measured
+    via: Via = "lowcmd"  # receiver of the commands
+    ros_domain: int | None = None  # ROS_DOMAIN_ID, if no domain was given

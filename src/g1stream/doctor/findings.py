@@ -1,4 +1,4 @@
-"""The doctor's rules: from facts to findings; pure."""
+"""Rules of the doctor, which derive findings from facts. Pure."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from g1stream.dds.local_participants import LocalParticipant
 
-#: Room for a hundred LowStates, with the kernel's overhead of each.
+#: Receive buffer for a hundred LowStates, including the kernel's overhead, bytes.
 _ENOUGH_BUFFER: Final = 1 << 20
 _SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
-#: Programs that a finding names.
+#: Maximum number of programs in a finding.
 _MOST_PROGRAMS: Final = 5
-_OUR_GUARD: Final = "g1stream guard"  # of the stream that asks
+_OUR_GUARD: Final = "g1stream guard"  # guard of the stream that calls the doctor
 _START_ROBOT: Final = "Start a bridge (g1stream sim), or connect and switch on the robot."
-_START_CONTROLLER: Final = "Let the robot stand by its own controller, which subscribes to it."
+_START_CONTROLLER: Final = "Let the robot stand with its own controller, which subscribes to it."
 
 _OUR_READER: Final = Qos()
 _OUR_WRITER: Final = Qos(reliable=True)
 _DURABILITIES: Final = ("volatile", "transient local", "transient", "persistent")
 
-# Topics that only the robot's own services have.
+# Topics of the robot's own services only.
 _ROBOT_WRITES: Final = {"rt/lf/lowstate", "rt/odommodestate"}
 _ROBOT_READS: Final = {"rt/arm_sdk"}
 
 
 def evaluate(facts: Facts) -> list[Finding]:
-    """All findings, in the order in which to fix them."""
+    """Derive all findings, in the order in which to fix them."""
     found = [*_interface(facts), *_host(facts.host)]
     if facts.ros_domain not in (None, facts.domain):
-        cause = f"ROS_DOMAIN_ID is {facts.ros_domain}, and g1stream looks in {facts.domain}"
-        remedy = f"Give --domain {facts.ros_domain} to look where ROS 2 is."
+        cause = f"ROS_DOMAIN_ID is {facts.ros_domain}, but g1stream uses domain {facts.domain}"
+        remedy = f"Use --domain {facts.ros_domain} for the domain of ROS 2."
         found.append(warning("domain", cause, remedy))
     if facts.wakeup_latency:
         found.append(_wakeup(facts.wakeup_latency))
     if facts.wire is None:
-        # An unusable interface is the whole reason already.
+        # An unusable interface already explains it.
         if not any(one.about == "interface" and one.level is Level.PROBLEM for one in found):
-            remedy = "Fix that, then run the doctor again to see the domain."
+            remedy = "Fix this, then run the doctor again to check the domain."
             found.append(problem("domain", facts.join_error, remedy))
         return found
     return [
@@ -71,7 +71,7 @@ def evaluate(facts: Facts) -> list[Finding]:
 def explain_no_robot(
     domain: int, interface: str, wire: WireFacts, topic: str = LOWCMD.name
 ) -> list[Finding]:
-    """Why a streamer that waited for LowState and for a subscriber of its topic had no success."""
+    """Explain why a stream found no LowState or no subscriber of its topic in time."""
     found = [*_state_mismatches(wire), *_command_mismatches(wire, topic)]
     if wire.states_matched and not wire.state.received:
         found.append(_silent_publisher(wire.state))
@@ -80,20 +80,20 @@ def explain_no_robot(
     if not wire.writers_of(LOWSTATE.name):
         return list(_publishers(domain, interface, wire))
     here = f"in domain {domain} on {interface}"
-    remedy = f"Run g1stream doctor --domain {domain} --interface {interface}: it checks the rest."
+    remedy = f"Run g1stream doctor --domain {domain} --interface {interface} for more checks."
     if not _command_subscribers(wire, topic):
         return [problem("LowCmd", f"no subscriber on {topic} {here}", remedy)]
     return [warning("wire", f"a robot appeared {here} after the wait ended", "Stream again.")]
 
 
 def _interface(facts: Facts) -> Iterator[Finding]:
-    """Whether DDS can work on the interface."""
+    """Check that DDS can use the interface."""
     host, about = facts.host, "interface"
     if host.uri:
         yield warning(
             about,
             f"CYCLONEDDS_URI is set and selects the interface, not {facts.interface}: {host.uri}",
-            "Unset it, unless this is intended.",
+            "Unset it unless this is intended.",
         )
     found = next((one for one in host.interfaces if one.name == facts.interface), None)
     if found is None:
@@ -115,7 +115,7 @@ def _interface(facts: Facts) -> Iterator[Finding]:
 
 
 def _host(host: HostFacts) -> Iterator[Finding]:
-    """Whether this machine is fit for real-time work."""
+    """Check that this machine is suitable for real-time work."""
     if host.cyclonedds.split(".")[0] == "11" or host.cyclonedds.startswith("0.10."):
         yield ok("cyclonedds", host.cyclonedds)
     else:
@@ -124,7 +124,8 @@ def _host(host: HostFacts) -> Iterator[Finding]:
     if host.rmem_max is not None and host.rmem_max < _ENOUGH_BUFFER:
         yield warning(
             "sockets",
-            f"the kernel limits receive buffers to {host.rmem_max // 1024} KiB: a burst overflows",
+            f"the kernel limits receive buffers to {host.rmem_max // 1024} KiB; a burst of samples "
+            "overflows them",
             "Run: sysctl -w net.core.rmem_max=4194304",
         )
     elif host.rmem_max is not None:
@@ -132,8 +133,8 @@ def _host(host: HostFacts) -> Iterator[Finding]:
     if host.clock_source in _SLOW_CLOCKS:
         yield warning(
             "clock",
-            f"the clock source is {host.clock_source}: reading the time takes microseconds",
-            "See why the kernel does not trust tsc: dmesg | grep -i tsc",
+            f"the clock source is {host.clock_source}; reading the time takes microseconds",
+            "Find out why the kernel does not use tsc: dmesg | grep -i tsc",
         )
     elif host.clock_source:
         yield ok("clock", f"source {host.clock_source}")
@@ -147,15 +148,15 @@ def _host(host: HostFacts) -> Iterator[Finding]:
 
 
 def _wakeup(latency: WakeupLatency) -> Finding:
-    """Whether this machine wakes a thread at its deadlines."""
-    at, worst = f"at {latency.rate:g} Hz", f"{latency.worst_ns / 1e6:.2f} ms late at most"
+    """Check that this machine wakes a thread at its deadlines."""
+    at, worst = f"at {latency.rate:g} Hz", f"at most {latency.worst_ns / 1e6:.2f} ms late"
     if latency.missed:
         finding = warning(
             "wake-up",
             f"{latency.missed} of {latency.deadlines} deadlines {at} missed by a whole period, "
-            f"{worst}: other load or a hypervisor stops the programs of this machine",
-            "End other load and fix the real-time warnings; if it remains, use a machine that is "
-            "not virtual, or expect skipped ticks.",
+            f"{worst}; other load or a hypervisor stops the programs on this machine",
+            "Stop other load and fix the real-time warnings; if deadlines are still missed, use a "
+            "machine that is not virtual, or expect skipped ticks.",
         )
     else:
         finding = ok("wake-up", f"{latency.deadlines} deadlines {at}, none missed, {worst}")
@@ -170,7 +171,7 @@ def _wakeup(latency: WakeupLatency) -> Finding:
 
 
 def _publishers(domain: int, interface: str, wire: WireFacts) -> Iterator[Finding]:
-    """Who publishes LowState, here or elsewhere."""
+    """Check the publishers of LowState, here and elsewhere."""
     here = f"in domain {domain} on {interface}"
     writers = wire.writers_of(LOWSTATE.name)
     if writers:
@@ -191,27 +192,27 @@ def _publishers(domain: int, interface: str, wire: WireFacts) -> Iterator[Findin
         yield problem(
             "publisher",
             f"no publisher on {LOWSTATE.name} {here}{searched}; other programs discovered there: "
-            f"{others}; DDS programs of this machine: "
+            f"{others}; DDS programs on this machine: "
             f"{_programs(one for one in wire.local if not one.apart)}",
             _START_ROBOT,
         )
     if apart := [one for one in wire.local if one.apart]:
         yield warning(
             "containers",
-            f"programs in other network namespaces, as in a container: {_programs(apart)}",
-            "Start the container with --network host, or use an interface that leads to it.",
+            f"programs in other network namespaces, such as containers: {_programs(apart)}",
+            "Start the container with --network host, or use an interface that reaches it.",
         )
 
 
 def _programs(local: Iterable[LocalParticipant]) -> str:
-    """Programs with their domains; the first of many."""
+    """Names of the first programs, with their domains."""
     named = [f"{one} in domain {one.domain}" for one in local]
     more = f" and {len(named) - _MOST_PROGRAMS} more" if len(named) > _MOST_PROGRAMS else ""
     return (", ".join(named[:_MOST_PROGRAMS]) or "none") + more
 
 
 def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
-    """What is received on rt/lowstate."""
+    """Check the LowStates received on rt/lowstate."""
     state = wire.state
     if not wire.states_matched:
         return
@@ -220,12 +221,12 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
         return
     age, oldest = state.ages_ms
     rate = state.received / state.seconds
-    text = f"{rate:.0f} Hz, received {age:.2f} ms after publication, {oldest:.2f} ms at most"
+    text = f"{rate:.0f} Hz, received {age:.2f} ms after publication, at most {oldest:.2f} ms"
     if abs(age) > 1000.0:
         yield warning(
             "LowState",
-            f"{text}: the publisher's clock and this one differ",
-            "Set both by NTP or PTP, or do not compare publish times with log times.",
+            f"{text}; the clocks of the publisher and of this machine differ",
+            "Synchronise them with NTP or PTP, or do not compare publish times with log times.",
         )
     else:
         yield ok("LowState", text)
@@ -238,11 +239,11 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
     else:
         yield problem(
             "mode_machine",
-            f"{state.mode_machine}: not the robot that --robot names, "
+            f"{state.mode_machine}, but the robot of --robot has "
             f"{' or '.join(map(str, facts.allowed_robots))}",
-            f"Give --robot {kind.name}."
+            f"Use --robot {kind.name}."
             if (kind := JointSet.of_mode(state.mode_machine))
-            else "Use a G1 that has one of these, or allow it in the config: safety.mode_machine.",
+            else "Use a G1 with one of these values, or allow it with safety.mode_machine.",
         )
 
 
@@ -252,8 +253,8 @@ def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
     elif state.missed is None:
         yield ok(
             "tick",
-            f"steps of {state.tick_step} ms, {state.tick_jumps} larger; only g1stream's own bridge "
-            "numbers its samples",
+            f"steps of {state.tick_step} ms, {state.tick_jumps} larger; only the ticks of "
+            "g1stream's own bridge number its samples",
         )
     elif state.missed:
         yield warning(
@@ -269,14 +270,14 @@ def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
         yield problem(
             "CRC",
             f"{state.received - state.crc_right} of {state.received} LowStates with a wrong CRC",
-            "Make the publisher compute Unitree's CRC, over the C struct.",
+            "Make the publisher compute Unitree's CRC over the C struct.",
         )
     else:
         yield ok("CRC", "correct")
 
 
 def _base(wire: WireFacts) -> Iterator[Finding]:
-    """Whether the position of the pelvis is published."""
+    """Check whether the position of the pelvis is published."""
     writers = wire.writers_of(SPORTMODESTATE.name)
     yield from _writer_mismatches(writers, "SportModeState")
     if writers:
@@ -286,12 +287,12 @@ def _base(wire: WireFacts) -> Iterator[Finding]:
 
 
 def _commands(wire: WireFacts, topic: str) -> Iterator[Finding]:
-    """Who reads and writes the LowCmds of a topic."""
+    """Check the readers and writers of LowCmd on a topic."""
     readers = _command_subscribers(wire, topic)
     mismatches = _command_mismatches(wire, topic)
     yield from mismatches
     if not readers and wire.writers_of(LOWSTATE.name):
-        cause = f"no subscriber on {topic}: commands would move nothing"
+        cause = f"no subscriber on {topic}, so commands have no effect"
         remedy = _START_ROBOT if topic == LOWCMD.name else _START_CONTROLLER
         yield problem("LowCmd", cause, remedy)
     elif readers and not mismatches:
@@ -299,14 +300,14 @@ def _commands(wire: WireFacts, topic: str) -> Iterator[Finding]:
     if writers := [one for one in wire.writers_of(topic) if not one.idle]:
         yield warning(
             "LowCmd",
-            f"another publisher on {topic}, {_owners(writers)}: g1stream stream will refuse to "
+            f"another publisher on {topic}, {_owners(writers)}; g1stream stream will refuse to "
             "start",
-            "End it before you stream.",
+            "Stop it before you stream.",
         )
 
 
 def qos_mismatch(offered: Qos, requested: Qos) -> str:
-    """Why a writer's QoS does not serve a reader's, or "" where it does (DDS 1.4, 2.2.3)."""
+    """Why the QoS of a writer and a reader do not match, or "" (DDS 1.4, 2.2.3)."""
     if requested.reliable and not offered.reliable:
         return "the reader requests reliable delivery, the writer offers best effort"
     if requested.durability > offered.durability:
@@ -316,36 +317,36 @@ def qos_mismatch(offered: Qos, requested: Qos) -> str:
         )
     if requested.deadline < offered.deadline:
         every = f"a sample every {requested.deadline / 1e6:g} ms"
-        return f"the reader requests {every}, the writer offers no such deadline"
+        return f"the reader requests {every}, but the writer does not offer this deadline"
     if requested.exclusive != offered.exclusive:
-        return "one has exclusive ownership, the other shared"
+        return "one has exclusive ownership, and the other shared ownership"
     if set(offered.partitions or ("",)).isdisjoint(requested.partitions or ("",)):
         offers, requests = (
             ", ".join(qos.partitions) or "the default one" for qos in (offered, requested)
         )
         return f"the writer is in partition {offers}, the reader in {requests}"
     same = requested.xcdr1 == offered.xcdr1
-    return "" if same else "one uses only the encoding XCDR2, the other XCDR1"
+    return "" if same else "one uses only the encoding XCDR2, and the other XCDR1"
 
 
 def _writer_mismatches(writers: Iterable[Peer], message: str) -> list[Finding]:
-    """Writers that our reader of a message cannot match."""
+    """Findings for writers that g1stream's reader cannot match."""
     found = (_mismatch(peer, qos_mismatch(peer.qos, _OUR_READER), message) for peer in writers)
     return [one for one in found if one]
 
 
 def _state_mismatches(wire: WireFacts) -> list[Finding]:
-    """Why publishers of LowState and our reader do not match."""
+    """Findings for publishers of LowState that g1stream's reader does not match."""
     writers = wire.writers_of(LOWSTATE.name)
     found = _writer_mismatches(writers, "LowState")
-    # Cyclone 0.10.2 does not show the types that others announce.
+    # Cyclone 0.10.2 does not show the announced types of other participants.
     if writers and not found and not wire.states_matched:
         found.append(_other_type(writers, "LowState"))
     return found
 
 
 def _command_mismatches(wire: WireFacts, topic: str) -> list[Finding]:
-    """Why subscribers of a topic of LowCmds do not match a writer of ours."""
+    """Findings for subscribers of LowCmd on a topic that g1stream's writer does not match."""
     readers = _command_subscribers(wire, topic)
     found = [_mismatch(peer, qos_mismatch(_OUR_WRITER, peer.qos), "LowCmd") for peer in readers]
     findings = [one for one in found if one]
@@ -355,23 +356,23 @@ def _command_mismatches(wire: WireFacts, topic: str) -> list[Finding]:
 
 
 def _command_subscribers(wire: WireFacts, topic: str) -> list[Peer]:
-    """The subscribers of a topic that may act on it."""
+    """Subscribers of a topic, without observers."""
     return [peer for peer in wire.readers if peer.topic == topic and not peer.observer]
 
 
 def _silent_publisher(state: StateFacts) -> Finding:
-    """A publisher of LowState that is matched and sends nothing."""
+    """The finding for a matched publisher of LowState that sends nothing."""
     malformed = f"; malformed: {counted(state.malformed, 'sample')}" if state.malformed else ""
     return problem(
         "LowState",
-        f"a publisher of {LOWSTATE.name} is matched, and no LowState was received in "
+        f"a publisher of {LOWSTATE.name} is matched, but no LowState was received in "
         f"{state.seconds:.1f} s{malformed}",
         "Check whether it hangs or is paused, or whether a firewall drops its packets.",
     )
 
 
 def identify_publisher(wire: WireFacts) -> str:
-    """Which known publisher of LowState this looks like; "" where there is none."""
+    """Identify the publisher of LowState by its topics and values; "" without a publisher."""
     publishers = {peer.participant for peer in wire.writers_of(LOWSTATE.name)}
     if not publishers:
         return ""
@@ -391,7 +392,7 @@ def identify_publisher(wire: WireFacts) -> str:
 
 
 def _owners(peers: Iterable[Peer]) -> str:
-    """The processes that peers belong to, each once."""
+    """The owners of peers, each once."""
     return ", ".join(sorted({peer.owner for peer in peers}))
 
 
@@ -399,7 +400,7 @@ def _mismatch(peer: Peer, qos_reason: str, message: str) -> Finding | None:
     if peer.same_type is False:
         return problem(
             "types",
-            f"{peer.owner} has {peer.topic} with another type, {peer.type_name}",
+            f"{peer.owner} uses {peer.topic} with another type, {peer.type_name}",
             f"Make it use Unitree's {message}_ as in idl/.",
         )
     if qos_reason:
@@ -414,7 +415,7 @@ def _mismatch(peer: Peer, qos_reason: str, message: str) -> Finding | None:
 def _other_type(peers: list[Peer], message: str) -> Finding:
     return problem(
         "types",
-        f"{_owners(peers)} does not match on {peers[0].topic} though its QoS fits: "
-        "its type must differ",
+        f"{_owners(peers)} does not match on {peers[0].topic} although its QoS does, so its type "
+        "must be different",
         f"Make it use Unitree's {message}_ as in idl/.",
     )

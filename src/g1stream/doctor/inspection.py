@@ -1,4 +1,4 @@
-"""Gathers facts about this machine and a DDS domain, and evaluates them; publishes nothing."""
+"""Gather facts about this machine and a DDS domain, without publishing, and evaluate them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from g1stream.realtime import on_time
 from g1stream.robot.model import G1
 
 _POLL_S = 0.001
-#: How long discovery of the participants in other domains may take, s.
+#: Time for the discovery of participants in other domains, s.
 _DISCOVERY_S = 0.6
 _ROBOT_DOMAIN: Final = 0
 _DURABILITIES = (
@@ -65,17 +65,17 @@ _DURABILITIES = (
 def inspect_domain(
     domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
 ) -> WireFacts:
-    """Listen in a domain and, where LowState is not published, search for it elsewhere."""
+    """Listen in a domain and, if LowState is not published there, search for it elsewhere."""
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
-    # With a CYCLONEDDS_URI we cannot choose the interface.
+    # With CYCLONEDDS_URI, the interface cannot be chosen.
     return search_elsewhere(
         facts, domain, interface, [] if participant.uses_environment else interfaces
     )
 
 
 def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
-    """Listen in a participant's domain for some seconds."""
+    """Listen in a participant's domain for a number of seconds."""
     reader, gaps = RawReader(participant, LOWSTATE, depth=4096), TickGaps()
     state = _listen(reader, gaps, seconds)
     writers = participant.writers()
@@ -120,10 +120,10 @@ def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
 def search_elsewhere(
     facts: WireFacts, domain: int, interface: str, interfaces: Iterable[Interface] = ()
 ) -> WireFacts:
-    """The facts of a domain and, where LowState is not published in it, where else it is.
+    """Search for LowState elsewhere if it is not published in a domain; returns all facts.
 
-    The domains in which programs of this machine take part are searched, that of a robot where one
-    may be, and this one on other interfaces. A place that cannot be joined is left out.
+    It searches the domains of programs on this machine, the domain of a robot unless on loopback,
+    and this domain on other interfaces. A domain that cannot be joined is left out.
     """
     if facts.writers_of(LOWSTATE.name):
         return facts
@@ -148,13 +148,13 @@ def search_elsewhere(
 
 
 def ros_domain() -> int | None:
-    """The DDS domain of ROS 2 in this environment, where it is set."""
+    """The DDS domain of ROS 2 in this environment; None if not set."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else None
 
 
 def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
-    """The endpoints on a robot's topics, without those of discovery itself."""
+    """Endpoints on topics of the robot, without those of discovery."""
     for endpoint in endpoints:
         if endpoint.topic.startswith("rt/"):
             yield Peer(
@@ -178,7 +178,7 @@ def _same_type(endpoint: Endpoint) -> bool | None:
 
 
 def qos_facts(qos: Any) -> Qos:
-    """The policies of a Cyclone `Qos` that matter here; DDS's defaults for those not set."""
+    """The relevant policies of a Cyclone `Qos`; DDS's defaults for policies that are not set."""
     values = vars(Qos()).copy()
     for policy in qos or ():
         if isinstance(policy, Policy.Reliability.Reliable):
@@ -200,7 +200,7 @@ _SIOCGIFADDR: Final = 0x8915  # <linux/sockios.h>
 
 
 def inspect_host(config: RealtimeConfig) -> HostFacts:
-    """Gather facts about this machine; requests real-time rights, and gives them back."""
+    """Gather facts about this machine; temporarily requests real-time scheduling."""
     with on_time(config.priority, config.cpu) as grants:
         granted = tuple(grants)
     buffer = _read("/proc/sys/net/core/rmem_max")
@@ -217,21 +217,21 @@ def inspect_host(config: RealtimeConfig) -> HostFacts:
 def measure_wakeup_latency(
     realtime: RealtimeConfig, rate: float, seconds: float = 0.5
 ) -> WakeupLatency:
-    """Sleep until absolute deadlines (Hz) with the rights that the loop gets, and do nothing else.
+    """Measure the wake-up latency at absolute deadlines (`rate` in Hz) with the loop's scheduling.
 
-    The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
-    CPU, comes first, and no command of it is delayed.
+    The priority is one below the loop's, so that it does not delay a loop that is running, perhaps
+    on the same isolated CPU.
     """
     with on_time(max(0, realtime.priority - 1), realtime.cpu):
         return wakeup_latency(SystemClock(), round(1e9 / rate), round(seconds * rate))
 
 
 def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
-    """Let a clock wake this thread at so many deadlines, `period` ns apart."""
+    """Measure the wake-up latency of a clock at a number of deadlines, `period` ns apart."""
     ticker = Ticker(clock, period, clock.now() + period)
     lateness, passed = Lateness(), 0
     for k, _ in ticker:
-        # The deadline that was slept for, not the one that replaced it.
+        # Relative to the deadline of the sleep, not to the one that replaced it.
         lateness.add(clock.now() - (ticker.start + passed * period))
         passed = k + 1
         if passed >= deadlines:
@@ -252,7 +252,7 @@ def _interface(name: str) -> Interface:
 
 
 def _address(name: str) -> str:
-    """The IPv4 address of an interface, or "" (netdevice(7))."""
+    """IPv4 address of an interface, or "" (netdevice(7))."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:
             answer = fcntl.ioctl(any_socket, _SIOCGIFADDR, struct.pack("256s", name.encode()))
@@ -269,9 +269,9 @@ def _read(path: str) -> str:
 
 
 def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
-    """Check this machine and the domain; each check has a finding, also where all is well.
+    """Check this machine and the domain; each check has a finding, even without a problem.
 
-    Only listens: nothing is published, so that no other program is disturbed.
+    It publishes nothing, so that other programs are not disturbed.
     """
     domain, interface = config.dds.domain, config.dds.interface
     host = inspect_host(config.realtime)

@@ -1,1 +1,1 @@
-"""From DDS into a session file."""
+"""Recording of DDS topics into a session file."""

@@ -1,13 +1,13 @@
-"""What a recording lacks and how far its times can be compared: losses of samples, and clocks.
+"""Diagnostics of a recording: lost samples, and steps and offsets of clocks.
 
-A best-effort reader is not told by DDS what was lost on the way. So there are four sources: what
-the reader itself knows, the ticks with which our own programs number Reference and LowState, the
-publish time that a Reference shares with its LowCmd, and how many datagrams the kernel discarded
-because a buffer was full. The tick of another publisher's LowState proves nothing: that of
-unitree_mujoco's C++ bridge repeats and jumps while no sample is lost.
+DDS does not report to a best-effort reader which samples were lost on the network. Therefore there
+are four sources: the reader's own counts, the ticks with which g1stream's programs number Reference
+and LowState, the publish time that a Reference shares with its LowCmd, and the number of datagrams
+that the kernel discarded because a buffer was full. The LowState ticks of other publishers cannot
+be used. Those of unitree_mujoco's C++ bridge repeat and jump even if no sample is lost.
 
-Steps of this host's clock, and its offset from those of other hosts, are found and not corrected:
-log and publish times are kept as they are.
+Steps of this host's clock, and its offset from the clocks of other hosts, are detected but not
+corrected; log and publish times are recorded unchanged.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ __all__ = [
     "read_clocks",
 ]
 
-#: How long the LowCmd of a Reference is waited for, ns.
+#: Maximum wait for the LowCmd of a Reference, ns.
 _MAX_WAIT_NS: Final = 1_000_000_000
-#: At the end of a recording, by how much a Reference may arrive before its LowCmd, ns.
+#: Maximum time by which a Reference may arrive before its LowCmd at the end of a recording, ns.
 _LAST_WAIT_NS: Final = 20_000_000
-#: Samples of a writer by which the step of its ticks is known.
+#: Number of samples of a writer after which the step of its ticks is known.
 _MIN_TICKS: Final = 10
 
 _TOPICS_WITH_TICKS: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE)}
 
-#: ns; CLOCK_REALTIME was set, and not slewed, if it moved by more between two readings.
+#: Change of CLOCK_REALTIME between two readings above which it was set and not slewed, ns.
 _MIN_STEP: Final = 2_000_000
 
 
 class MissingCommands:
-    """Counts References whose LowCmd, which has the same publish time, did not arrive."""
+    """Counts References whose LowCmd, with the same publish time, did not arrive."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -60,26 +60,26 @@ class MissingCommands:
         self._newest = 0
 
     def add_commands(self, publish_times: Iterable[int]) -> None:
-        """Take in the publish times of LowCmds, ns.
+        """Add the publish times of LowCmds, ns.
 
-        Older ones that still wait are dropped here, too: there may be commands without references.
+        This also drops old unmatched ones, because there may be commands without references.
         """
         times = set(publish_times)
         before = min(times, default=0) - _MAX_WAIT_NS
         self._commands = {time for time in self._commands if time >= before} | times
 
     def add_references(self, publish_times: Sequence[int]) -> None:
-        """Take in the publish times of References, ns, oldest first."""
+        """Add the publish times of References, ns, oldest first."""
         self._references.update(publish_times)
         self._newest = publish_times[-1]
         self._settle(self._newest - _MAX_WAIT_NS)
 
     def finish(self) -> None:
-        """Count, after the last sample, the References that still wait."""
+        """Count the References that are still unmatched after the last sample."""
         self._settle(self._newest - _LAST_WAIT_NS)
 
     def _settle(self, before: int) -> None:
-        """Drop pairs, and count References before this time that have no LowCmd."""
+        """Drop pairs, and count References before this time without a LowCmd."""
         pairs = self._references & self._commands
         self._references -= pairs
         self._commands = {time for time in self._commands - pairs if time >= before}
@@ -89,27 +89,27 @@ class MissingCommands:
 
 
 def dropped_datagrams(pid: int) -> int:
-    """How many datagrams the kernel discarded because a socket buffer of a process was full."""
+    """Number of datagrams that the kernel discarded because a process's socket buffer was full."""
     process = Path("/proc", str(pid))
     inodes = set(socket_inodes(process))
     return sum(one.dropped for one in udp_sockets(process) if one.inode in inodes)
 
 
 class Losses:
-    """Samples known to be lost, by DDS topic.
+    """Counts samples that are known to be lost, by DDS topic.
 
     Attributes:
-        lost: samples, by topic name.
+        lost: number of lost samples, by topic name.
     """
 
     def __init__(self) -> None:
         self.lost: dict[str, int] = {}
         self._ticks: dict[str, dict[int, TickGaps]] = defaultdict(lambda: defaultdict(TickGaps))
         self._commands = MissingCommands()
-        self._commanded = LOWCMD.name  # where the commands of the references are
+        self._commanded = LOWCMD.name  # the topic with the commands of the references
 
     def add(self, name: str, batch: Batch) -> None:
-        """Take in samples of a topic, oldest first; every writer has ticks of its own."""
+        """Add samples of a topic, oldest first; the ticks of each writer are independent."""
         if name in (LOWCMD.name, ARM_SDK.name):
             if name == ARM_SDK.name:
                 self._commanded = name
@@ -122,20 +122,20 @@ class Losses:
                 self._ticks[name][writer].add(tick)
 
     def finish(self) -> None:
-        """Count, after the last batch, the LowCmds that were still waited for."""
+        """Count the LowCmds that are still missing after the last batch."""
         self._commands.finish()
 
     def update(
         self, lost_by_reader: Mapping[str, int], *, state_step: float | None
     ) -> dict[str, int]:
-        """Combine all sources.
+        """Combine all sources of lost samples.
 
         Args:
-            lost_by_reader: samples that the readers know to be lost so far, by topic name.
-            state_step: between the ticks of LowState, ms; None where they do not number it.
+            lost_by_reader: total number of samples that the readers report as lost, by topic name.
+            state_step: step of the LowState ticks, ms; None if they do not number the samples.
 
         Returns:
-            How many more are lost than at the last update, where any are.
+            The number of newly lost samples, by topic name; only topics with new losses.
         """
         more = {}
         for name, by_reader in lost_by_reader.items():
@@ -151,14 +151,14 @@ class Losses:
 
 
 class ClockReading(NamedTuple):
-    """Both clocks of this machine at one instant, ns."""
+    """CLOCK_REALTIME and CLOCK_MONOTONIC at one instant, ns."""
 
     realtime: int
     monotonic: int
 
 
 def read_clocks() -> ClockReading:
-    """Read both clocks at nearly the same instant: the closest of several readings."""
+    """Read both clocks at nearly the same instant; uses the closest of several readings."""
     readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
     before, realtime, after = min(readings, key=lambda one: one[2] - one[0])
     return ClockReading(realtime, (before + after) // 2)
@@ -166,14 +166,14 @@ def read_clocks() -> ClockReading:
 
 @dataclass
 class StepDetector:
-    """Detects when CLOCK_REALTIME is set, by its offset from CLOCK_MONOTONIC.
+    """Detects steps of CLOCK_REALTIME by its offset from CLOCK_MONOTONIC.
 
-    Slewing, as NTP does at up to 0.5 ms a second, is not a step; it shows in the difference between
+    Slewing, as by NTP at up to 0.5 ms per second, is not a step. It appears as the difference of
     `first` and `last`.
 
     Attributes:
         first, last: realtime minus monotonic at the first and the last reading, ns.
-        steps: in order.
+        steps: the detected steps, in order.
     """
 
     first: int | None = None
@@ -181,10 +181,10 @@ class StepDetector:
     steps: list[ClockStep] = field(default_factory=list)
 
     def observe(self, reading: ClockReading) -> int:
-        """By how much the clock was set since the previous reading, ns; 0 when it was not.
+        """Return the step of the clock since the previous reading, ns; 0 without a step.
 
         Args:
-            reading: at most some tenths of a second after the previous one.
+            reading: a reading at most a few tenths of a second after the previous one.
         """
         offset = reading.realtime - reading.monotonic
         if self.first is None:

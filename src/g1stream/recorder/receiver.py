@@ -1,9 +1,8 @@
-"""Receives samples in a process of its own, so that their log times are exact.
+"""Receive samples in a separate process, so that their log times are exact.
 
-The process waits for samples, takes them and notes the time, and does nothing else. It has the
-priority of real time where that is allowed. The process that encodes and writes them may be slow:
-samples wait in a file in memory, to which the one appends, and of which the other frees what it has
-read.
+The process only waits for samples, takes them and stores the time. It has real-time priority if the
+system allows it. It appends the samples to a file in memory. The recorder's process, which encodes
+and writes them, may be slow; it frees the part of the file that it has read.
 """
 
 from __future__ import annotations
@@ -32,37 +31,37 @@ if TYPE_CHECKING:
 
 __all__ = ["Counts", "Receiver"]
 
-#: Below the loop and its threads of DDS, above the simulator.
+#: Difference from the priority of the loop; below the loop's DDS threads, above the simulator.
 _BELOW_LOOP: Final = 5
-#: How long it waits for samples before it checks whether to stop, ns.
+#: Maximum wait for samples before the process checks whether to stop, ns.
 _WAIT_NS: Final = 20_000_000
-#: Samples of a topic that may wait while the process is not scheduled.
+#: Queue length of a topic while the process is not scheduled, samples.
 _DEPTH: Final = 4096
-#: How long the process may take to end, s.
+#: Maximum time that the process takes to end, s.
 _STOP_TIMEOUT: Final = 5.0
-#: Between two reports of losses and matches, s.
+#: Time between two reports of losses and matches, s.
 _STATUS_PERIOD: Final = 0.05
-#: Memory for samples that have not been read, bytes: a minute at 1 kHz.
+#: Memory for samples that have not been read, bytes; a minute at 1 kHz.
 _MOST_BYTES: Final = 256 * 2**20
-#: Read at once, bytes: a recorder that was stopped catches up in steps.
+#: Maximum size of a read, bytes; a recorder that was stopped catches up in steps.
 _BLOCK: Final = 4 * 2**20
 
 #: Size of the data, number of the topic, log time, publish time, handle of the writer.
 _HEADER: Final = struct.Struct("<IiqqQ")
-#: In place of the number of a topic: the data are `Counts`, as JSON.
+#: Number instead of a topic's for a record with `Counts` as JSON.
 _STATUS: Final = -1
 _NAMES: Final = tuple(topic.name for topic in TOPICS)
 
 
 class Counts(NamedTuple):
-    """What readers know of their topics, by name.
+    """Counts of the readers, by topic name.
 
     Attributes:
-        matched: writers that it is matched with.
-        malformed: samples that were not of its type.
-        lost: samples known to be lost. A queue that was full may have lost any number, and counts
-            as one.
-        discarded: those of them that had no room, because too many waited to be drained.
+        matched: number of matched writers.
+        malformed: number of samples that were not of the topic's type.
+        lost: number of samples known to be lost. A full queue may have lost any number of samples,
+            and counts as one.
+        discarded: number of lost samples that were discarded because too many were not drained.
     """
 
     matched: dict[str, int]
@@ -72,13 +71,13 @@ class Counts(NamedTuple):
 
 
 class Receiver:
-    """Receives all topics of a DDS domain, in another process; a context manager.
+    """Context manager that receives all topics of a DDS domain in another process.
 
     Args:
         config: all settings.
 
     Attributes:
-        counts: as of the last drain.
+        counts: counts at the last drain.
 
     Raises:
         ChildError: the process cannot be started.
@@ -108,33 +107,33 @@ class Receiver:
 
     @property
     def pid(self) -> int:
-        """The id of the process that receives."""
+        """Process id of the receiving process."""
         return self._child.pid
 
     def wait_until_ready(self, abandoned: Callable[[], bool] = lambda: False) -> None:
-        """Wait until no sample can be missed any more, or until `abandoned`.
+        """Wait until all samples are received from now on, or until `abandoned` returns True.
 
         Raises:
-            ChildError: it does not receive.
+            ChildError: the process failed or was not ready in time.
         """
         self._child.wait_until_ready(abandoned=abandoned)
 
     def stop(self) -> None:
-        """Stop receiving; what has been received can still be drained."""
+        """Stop receiving; received samples can still be drained."""
         try:
             self._child.finish(timeout=_STOP_TIMEOUT)
         except ChildError as error:
             self._failure = self._failure or error.cause
 
     def drain(self) -> dict[str, Batch]:
-        """Samples since the last drain, by topic name; topics without any are left out.
+        """Take samples since the last drain, by topic name, without topics that have none.
 
-        Of many that wait it takes the oldest.
+        If many samples wait, it takes only the oldest.
 
         Raises:
             RecordingError: receiving failed, and all samples have been drained.
         """
-        failure = self._failure  # read first: samples received before it are in the file by now
+        failure = self._failure  # read first, so that all samples before it are in the file
         block = os.pread(self._file, _BLOCK, self._read)
         batches: dict[str, Batch] = defaultdict(Batch)
         at = 0
@@ -156,14 +155,16 @@ class Receiver:
         self._read += at
         self._free()
         if failure and not at:
-            raise RecordingError(failure, "Record again; the file contains all samples until then.")
+            raise RecordingError(
+                failure, "Record again; the file contains all samples until the failure."
+            )
         return dict(batches)
 
     def _note_failure(self, cause: str) -> None:
         self._failure = cause
 
     def _free(self) -> None:
-        """Give back the memory of what has been read."""
+        """Free the memory of samples that have been read."""
         size = (self._read - self._freed) // mmap.ALLOCATIONGRANULARITY
         size *= mmap.ALLOCATIONGRANULARITY
         if size >= _BLOCK // 4:
@@ -173,10 +174,10 @@ class Receiver:
 
 
 class _Readers:
-    """The readers of all topics, whose samples go into a file.
+    """Reads all topics, and appends their samples to a file.
 
     Args:
-        participant: in the domain.
+        participant: a participant in the domain.
         file: descriptor of the file.
     """
 
@@ -192,10 +193,10 @@ class _Readers:
             self._waitset.attach(condition)
         self._overflows = dict.fromkeys(_NAMES, 0)
         self._discarded = dict.fromkeys(_NAMES, 0)
-        self._status = b""  # as it was last written
+        self._status = b""  # the last written one
 
     def receive(self, parent: Parent) -> None:
-        """Receive until told to stop."""
+        """Receive until the parent requests the end."""
         status_due = 0.0
         while not parent.done.is_set():
             self._waitset.wait(_WAIT_NS)
@@ -244,13 +245,13 @@ class _Readers:
 
     def _append(self, data: bytes) -> None:
         if os.write(self._file, data) < len(data):
-            raise OSError("there is no memory for samples")
+            raise OSError("there is not enough memory for samples")
 
 
 def _run_child(parent: Parent) -> None:
-    """Receive for a recorder."""
+    """Receive samples for a recorder."""
     domain, interface, priority, file = parent.startup_message
-    # The threads of the participant get the priority, too.
+    # The threads of the participant get the priority as well.
     with Participant(domain, interface) as participant, on_time(priority):
         readers = _Readers(participant, file)
         try:
@@ -261,7 +262,7 @@ def _run_child(parent: Parent) -> None:
                 f"Receiving samples failed: {error}.", "Free memory and record again."
             ) from error
         finally:
-            del readers  # before the participant, which closes what it refers to
+            del readers  # before the participant, which closes the readers' entities
 
 
 if __name__ == "__main__":

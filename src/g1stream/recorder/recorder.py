@@ -1,4 +1,4 @@
-"""From DDS to a session file: an independent observer of the wire."""
+"""Recorder: writes all samples of a DDS domain to a session file, as an independent observer."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ __all__ = ["Recorder", "raw_messages"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: A median delay beyond this, either way, is logged while it can still be corrected.
+#: Median delay, positive or negative, above which a warning is logged during the recording, ns.
 _MAX_DELAY_NS: Final = 20_000_000
-#: Between two readings of the kernel's count of discarded datagrams, s.
+#: Time between two readings of the kernel's count of discarded datagrams, s.
 _DROPS_PERIOD: Final = 1.0
-#: Topics with one publisher: of two robots, or two commanders, there is no one session.
+#: Topics that must have exactly one publisher.
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: Topics that most streams do not publish.
 _OCCASIONAL: Final = frozenset({ARM_SDK.name, POLICY.name})
-#: Batches whose median delays are kept: the last minutes, as the offset may drift.
+#: Number of batches whose median delays are kept; the last minutes, because the offset may drift.
 _DELAYS: Final = 8192
-#: How long awaited publishers are looked for, s, and how often.
+#: Maximum wait for awaited publishers, and interval of the checks, s.
 _MATCH_TIMEOUT: Final = 10.0
 _POLL_PERIOD: Final = 0.02
-#: How long to go on after the end, for samples still in transit, s.
+#: Time of recording after the end, for samples in transit, s.
 _LINGER: Final = 0.3
 
 
 def raw_messages(batches: Mapping[str, Batch]) -> Iterator[MessageBatch]:
-    """What every recording has of wire samples: they themselves, byte for byte, and the log lines.
+    """The messages of every recording: unchanged samples and log lines.
 
     Args:
-        batches: by DDS topic name, each oldest first and not empty.
+        batches: batches by DDS topic name, each oldest first and not empty.
     """
     log = Log()
     for name, batch in batches.items():
@@ -83,9 +83,9 @@ class Publishers(NamedTuple):
     """The publishers of a topic.
 
     Attributes:
-        names: of the programs, as far as they announce them.
-        hosts: that they are on, likewise.
-        bridge: what our own bridge announces; None from other publishers.
+        names: names of the programs, as far as announced.
+        hosts: names of their hosts, as far as announced.
+        bridge: announcement of g1stream's bridge; None for other publishers.
     """
 
     names: list[str]
@@ -94,7 +94,7 @@ class Publishers(NamedTuple):
 
     @classmethod
     def from_participant(cls, participant: Participant, topic: str) -> Publishers:
-        """The present publishers of a DDS topic."""
+        """The current publishers of a DDS topic."""
         writers = participant.writers(topic)
         hosts = {writer.host for writer in writers if writer.host}
         names = {participant.owner(writer) for writer in writers}
@@ -102,7 +102,7 @@ class Publishers(NamedTuple):
 
     @property
     def remote(self) -> bool:
-        """Whether one of them is on another host, with a clock of its own."""
+        """Whether a publisher is on another host, with another clock."""
         return any(host != socket.gethostname() for host in self.hosts)
 
     def __str__(self) -> str:
@@ -110,15 +110,18 @@ class Publishers(NamedTuple):
 
 
 class Recorder:
-    """Records all topics of a DDS domain, and the events logged below `g1stream.recorder`.
+    """Records all topics of a DDS domain, and the events of the logger `g1stream.recorder`.
 
     Args:
-        receiver: of the domain; it is stopped at the end.
-        participant: in the same domain, to know who publishes.
-        writer: the session file.
-        pipeline: makes what viewers show of the samples.
-        batch: how often samples are written, s.
+        receiver: receiver of the domain; it is stopped at the end.
+        participant: a participant in the same domain, to identify publishers.
+        writer: writer of the session file.
+        pipeline: makes messages for viewers from the samples.
+        batch: interval at which samples are written, s.
         clocks: reads this machine's clocks.
+
+    Attributes:
+        report: counts and diagnostics of the recording.
     """
 
     def __init__(
@@ -137,13 +140,13 @@ class Recorder:
         self._clocks = clocks
         self._receiver = receiver
         self._pipeline = pipeline
-        # Events may be logged in any thread; only this one's writes the file.
+        # Any thread may log events, but only this one writes the file.
         self._events: SimpleQueue[logging.LogRecord] = SimpleQueue()
         self._losses = Losses()
         self._steps = StepDetector()
-        # By topic, of batches the median of log minus publish times, ns. From another host that is
-        # the transit plus the offset between the clocks, which one direction cannot tell apart; in
-        # a wired network the transit takes well below 1 ms.
+        # Medians of log minus publish time of batches, ns, by topic. For another host this is the
+        # latency plus the offset between the clocks, which cannot be separated in one direction. In
+        # a wired network the latency is well below 1 ms.
         self._delays: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=_DELAYS))
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
@@ -156,7 +159,7 @@ class Recorder:
 
     @property
     def received(self) -> dict[str, int]:
-        """Samples in the file so far, by channel of a DDS topic."""
+        """Number of samples in the file so far, by the channels of DDS topics."""
         counts = self._writer.counts
         return {channel: n for channel in CHANNEL_OF.values() if (n := counts.get(channel))}
 
@@ -166,18 +169,19 @@ class Recorder:
         on_ready: Callable[[], None] = lambda: None,
         awaited: Collection[str] = (),
     ) -> RecorderSummary:
-        """Record until told to stop, or until nothing can be received or written any more.
+        """Record until `should_stop` returns True, or until receiving or writing fails.
 
-        The latter raises nothing: the report says why, and the file is complete until then.
+        A failure does not raise an error. The report has its cause, and the file is complete until
+        the failure.
 
         Args:
-            should_stop: asked at every batch.
-            on_ready: called when nothing that is published from then on can be missed.
-            awaited: DDS topics that must have a publisher by then.
+            should_stop: called at every batch.
+            on_ready: called when all samples are received from now on.
+            awaited: DDS topics that must have a publisher before `on_ready` is called.
 
         Raises:
             ChildError: the receiver does not start.
-            WireError: nobody publishes an awaited topic in time.
+            WireError: there is no publisher of an awaited topic in time.
         """
         room = logging.getLogger("g1stream.recorder")
         handler = QueueHandler(self._events)
@@ -201,8 +205,8 @@ class Recorder:
         except RecordingError as error:
             self.report.stopped = error.cause
             _LOGGER.error(error.cause)
-            self._receiver.stop()  # nobody reads any more what it receives
-            # If the disk is full, the writer has kept room for this.
+            self._receiver.stop()  # its samples are no longer read
+            # If the disk is full, the writer has reserved space for these.
             with suppress(RecordingError):
                 self._write_events()
         finally:
@@ -211,7 +215,11 @@ class Recorder:
         return self.report
 
     def _is_matched(self, topics: Collection[str], deadline: float) -> bool:
-        """Whether these have a publisher; raises where they have none after the deadline."""
+        """Return whether all topics have a publisher.
+
+        Raises:
+            WireError: a topic has no publisher after the deadline.
+        """
         matched = self._receiver.counts.matched
         absent = [topic for topic in topics if not matched[topic]]
         if absent and time.monotonic() >= deadline:
@@ -223,13 +231,13 @@ class Recorder:
         return not absent
 
     def _write_batches(self) -> bool:
-        """Write some of the samples that wait; whether there were any."""
+        """Write some of the waiting samples; return whether there were any."""
         batches = self._receiver.drain()
-        # The newest of the last round, not the greatest: the clock may be set back.
+        # The newest of the last batches, not the maximum of all, because the clock may be set back.
         newest = [batch.log_times[-1] for name, batch in batches.items() if name in CHANNEL_OF]
         self.report.last_ns = max(newest, default=self.report.last_ns)
         for name, batch in batches.items():
-            if name in CHANNEL_OF:  # events of a program alone are no recording
+            if name in CHANNEL_OF:  # events of a program alone do not count as a recording
                 self.report.first_ns = self.report.first_ns or batch.log_times[0]
                 self._losses.add(name, batch)
                 self._check_publishers(name, batch)
@@ -244,8 +252,8 @@ class Recorder:
         self._check_losses()
         self._check_clock()
         self._write_events()
-        # Chunks that would be due before the next batch are written now: all samples of a batch
-        # together, and none later than the writer's limit.
+        # Chunks that would be due before the next batch are written now, so that all samples of a
+        # batch are written together, and within the writer's time limit.
         self._writer.flush_if_due(time.time_ns() + round(self._batch_s * 1e9))
         return bool(batches)
 
@@ -258,7 +266,7 @@ class Recorder:
             self._writer.write("/log", line, time.time_ns(), logged)
 
     def _keep_serious(self, lines: Iterable[bytes]) -> None:
-        """Keep the warnings among some log lines, for the report."""
+        """Keep warnings and errors of log lines for the report."""
         self._log += [event for event in map(LogEvent.decode, lines) if event.is_serious]
 
     def _check_delay(self, name: str, batch: Batch) -> None:
@@ -268,7 +276,7 @@ class Recorder:
             return
         self._publishers[name] = Publishers.from_participant(self._participant, name)
         median, hosts = int(np.median(delays)), tuple(self._publishers[name].hosts)
-        told = hosts and hosts in self._late_hosts  # its other topics are as late
+        told = hosts and hosts in self._late_hosts  # its other topics have the same delay
         if abs(median) > _MAX_DELAY_NS and not told:
             self._late_hosts.add(hosts)
             _LOGGER.warning(
@@ -280,12 +288,12 @@ class Recorder:
             )
 
     def _check_publishers(self, name: str, batch: Batch) -> None:
-        """Report two programs that publish by turns; one that takes over from another may."""
+        """Report several active publishers of a topic; one may take over from another."""
         if name not in _SINGLE or CHANNEL_OF[name] in self.report.publishers:
             return
         turns = self._turns[name]
         again = [writer for writer in batch.writers if turns.hear(writer)]
-        # A guard damps the robot beside a stream that has not ended yet.
+        # A guard may publish before its stream has ended.
         names = Publishers.from_participant(self._participant, name).names if again else []
         names = [one for one in names if not one.startswith(GUARD_PROGRAM)]
         if len(names) > 1:
@@ -298,7 +306,7 @@ class Recorder:
         if any(self._receiver.counts.discarded.values()) and not self._overrun:
             self._overrun = True
             _LOGGER.warning(
-                "received samples are discarded: this process was stopped, or is too slow for them"
+                "received samples are discarded: this process was stopped, or is too slow"
             )
         if time.monotonic() >= self._drops_due:
             self._drops_due = time.monotonic() + _DROPS_PERIOD
@@ -308,7 +316,7 @@ class Recorder:
                 _LOGGER.warning("%s dropped: the socket buffer was full", counted(more, "datagram"))
 
     def _update_losses(self) -> dict[str, int]:
-        """How many more samples are lost, by topic."""
+        """Number of newly lost samples, by topic."""
         states = self._publishers.get(LOWSTATE.name)
         bridge = states.bridge if states else None
         step = bridge.tick_step if bridge else None
@@ -320,7 +328,7 @@ class Recorder:
                 "CLOCK_REALTIME was set by %+.3f s: log times before and after are not comparable",
                 step / 1e9,
             )
-            # At once, for who reads the file of a recorder that was killed.
+            # Written immediately, so that the file of a killed recorder has them.
             steps = [one.model_dump() for one in self._steps.steps]
             self._writer.add_metadata({"clock_steps": steps})
 

@@ -1,1 +1,1 @@
-"""What a G1 is: its joints, limits, links, and where these are. Knows no clock and no DDS."""
+"""Robot model of the G1: joints, limits, links, kinematics and dynamics; without clocks or DDS."""

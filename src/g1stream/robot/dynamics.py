@@ -1,22 +1,23 @@
-"""The robot's MuJoCo model, and its inverse dynamics for each way to hold the robot.
+"""The robot's MuJoCo model, and its inverse dynamics for each support of the robot.
 
-A robot whose base floats obeys, with a = (base's acceleration, joints' acceleration),
+The equation of motion of a robot with a floating base, with a = (acceleration of the base,
+acceleration of the joints), is
 
     M(q) a + h(q, v) = (0, tau - friction) + J(q)^T f
 
-(R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapters 3.1 and 9). M is the inertia, the
-rotors' included, h holds gravity, centrifugal and Coriolis terms, and f is the external force that
-holds the robot, at a point of Jacobian J. The joints' acceleration is that of the reference; no
-motor acts on the first six rows. The support closes the system:
+(R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapters 3.1 and 9). M is the inertia
+including the rotors, h are the gravity, centrifugal and Coriolis terms, and f is the external force
+that holds the robot, at a point with the Jacobian J. The joint accelerations are those of the
+reference. No motor acts on the first six rows. The support determines the remaining unknowns:
 
-- bolted: the base's acceleration is zero, and the six rows give the force on the bolts;
-- follow: the base's acceleration is prescribed, and the six rows give the force that drives it;
-- hanging: f acts at a link, the weight straight up unless the force is known; the six rows give the
-  base's acceleration;
-- free: f is zero, which is flight; the six rows give the base's acceleration.
+- bolted: the acceleration of the base is zero, and the six rows give the force on the bolts;
+- follow: the acceleration of the base is given, and the six rows give the force that drives it;
+- hanging: f acts at a link, upward with the robot's weight unless the force is known, and the six
+  rows give the acceleration of the base;
+- free: f is zero (flight), and the six rows give the acceleration of the base.
 
-The base's linear velocity is no argument: the equations are the same in every frame that moves at a
-constant velocity. docs/tracking.md has the derivation.
+The linear velocity of the base is not an argument, because the equations are the same in every
+frame with a constant velocity. docs/tracking.md has the derivation.
 """
 
 from __future__ import annotations
@@ -56,12 +57,12 @@ __all__ = [
 ]
 
 _BASE: Final = 6
-_ROOT: Final = 1  # the base, after the world
+_ROOT: Final = 1  # body of the base, after the world
 GRAVITY: Final = 9.81
-"""m/s²."""
+"""Gravitational acceleration, m/s²."""
 
 STICTION_SPEED: Final = 0.05
-"""Dry friction reaches its full value at about twice this speed, rad/s; below it may take any."""
+"""Joint speed, rad/s, at about twice of which dry friction reaches its full value."""
 
 
 class BaseMotion(NamedTuple):
@@ -69,8 +70,8 @@ class BaseMotion(NamedTuple):
 
     Attributes:
         quat_wxyz: (4,) pelvis to world.
-        ang_vel: (3,) rad/s, pelvis frame, as a gyroscope measures it.
-        lin_acc: (3,) m/s², of its origin, world, without gravity; for `follow` only.
+        ang_vel: (3,) rad/s, pelvis frame, as measured by a gyroscope.
+        lin_acc: (3,) m/s² of its origin, world, without gravity; for `follow` only.
         ang_acc: (3,) rad/s², time derivative of `ang_vel`; for `follow` only.
     """
 
@@ -81,14 +82,14 @@ class BaseMotion(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The torques of a movement, and the acceleration of the base or what holds it.
+    """Solution of the inverse dynamics: joint torques, and acceleration or wrench of the base.
 
     Attributes:
-        tau: (29,) N·m, motor order, friction included.
-        lin_acc: (3,) m/s², of the pelvis's origin, world.
+        tau: (29,) N·m, motor order, including friction.
+        lin_acc: (3,) m/s² of the pelvis's origin, world.
         ang_acc: (3,) rad/s², pelvis frame.
-        wrench: (6,) what bolts, or what drives the pelvis, exert on it: force, N, world, and moment
-            about its origin, N·m, pelvis frame; zero for `hanging` and `free`.
+        wrench: (6,) wrench of the support on the pelvis: force, N, world, and moment about the
+            origin, N·m, pelvis frame; zero for `hanging` and `free`.
     """
 
     tau: Floats
@@ -98,12 +99,12 @@ class Solution(NamedTuple):
 
 
 class Momentum(NamedTuple):
-    """The motion of the whole robot, independent of the base's linear velocity.
+    """Momentum of the whole robot, independent of the linear velocity of the base.
 
     Attributes:
-        angular: (3,) N·m·s, world, about the centre of mass.
-        velocity: (3,) m/s, world, of the centre of mass relative to the IMU.
-        lever: (3,) m, world, from the centre of mass to the carrier's.
+        angular: (3,) angular momentum about the centre of mass, N·m·s, world.
+        velocity: (3,) velocity of the centre of mass relative to the IMU, m/s, world.
+        lever: (3,) vector from the centre of mass to that of the carrier, m, world.
     """
 
     angular: Floats
@@ -115,13 +116,13 @@ class InverseDynamics:
     """The inverse dynamics of one robot.
 
     Args:
-        robot: has the URDF.
+        robot: the robot.
         carrier: the link that a hanging robot hangs from.
-        gravity: m/s², downward.
+        gravity: downward, m/s².
 
     Attributes:
-        name: of the robot.
-        mass: kg, of the whole robot.
+        name: name of the robot.
+        mass: mass of the whole robot, kg.
         gravity: as given.
 
     Raises:
@@ -163,15 +164,15 @@ class InverseDynamics:
         *,
         force: Floats | None = None,
     ) -> Solution:
-        """The torques of a movement.
+        """Compute the torques for joint accelerations.
 
         Args:
             support: how the pelvis is held.
             q: (29,) rad, motor order.
             dq: (29,) rad/s.
             ddq: (29,) rad/s².
-            base: of the pelvis; its accelerations are used for `follow` only.
-            force: (3,) N, world, on a hanging robot; its weight, upward, if None.
+            base: motion of the pelvis; its accelerations are used for `follow` only.
+            force: (3,) force on a hanging robot, N, world; None: its weight, upward.
         """
         acc, v = self._acc, self._v
         self._place(q, dq, base)
@@ -190,7 +191,7 @@ class InverseDynamics:
         return Solution(tau, base_acc[:3], base_acc[3:], total[:_BASE])
 
     def _place(self, q: Floats, dq: Floats, base: BaseMotion) -> None:
-        """Set the state in MuJoCo; the base stays at the origin, as nothing depends on it."""
+        """Set the state in MuJoCo, with the base at the origin; results do not depend on it."""
         mujoco, model, data = self._mujoco, self._model, self._data
         self._qpos[3:7] = base.quat_wxyz
         self._qpos[self._q] = q[self._present]
@@ -215,9 +216,10 @@ class InverseDynamics:
         return self._columns[:, :_BASE]
 
     def specific_force(self, solution: Solution, base: BaseMotion) -> Floats:
-        """What the accelerometer in the pelvis measures during a solution.
+        """Predict the reading of the accelerometer in the pelvis for a solution.
 
-        The specific force at the IMU: a - g of the pelvis's origin, a' x r and w x (w x r).
+        This is the specific force at the IMU: a - g of the pelvis's origin, plus a' x r and
+        w x (w x r).
 
         Returns:
             (3,) m/s², pelvis frame.
@@ -231,12 +233,12 @@ class InverseDynamics:
         return measured
 
     def momentum(self, q: Floats, dq: Floats, base: BaseMotion) -> Momentum:
-        """How the whole robot moves, as seen from its IMU.
+        """Compute the momentum of the whole robot, relative to its IMU.
 
         Args:
             q: (29,) rad, motor order.
             dq: (29,) rad/s.
-            base: of the pelvis, without its accelerations.
+            base: motion of the pelvis; its accelerations are not used.
         """
         data = self._data
         self._place(q, dq, base)
@@ -262,22 +264,22 @@ class InverseDynamics:
 
 
 def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
-    """A `mujoco.MjSpec` of the robot's URDF and parameters, with rotors and dry friction.
+    """Make a `mujoco.MjSpec` of the robot's URDF and parameters, with rotors and dry friction.
 
     Every link is a body with the link's name, and the base is the first body of the world. Meshes
-    are left out; the joints of fingers are fixed at zero.
+    are left out, and finger joints are fixed at zero.
 
-    The caller sets the motors' viscous damping in `dof_damping` of the compiled model: in a spec it
-    is a number in MuJoCo 3 and a polynomial in 4, in the model an array in both.
+    The caller sets the motors' viscous damping in `dof_damping` of the compiled model. In a spec it
+    is a number in MuJoCo 3 and a polynomial in 4; in the model it is an array in both versions.
 
     Args:
-        robot: has the URDF.
+        robot: the robot.
         floating: give the base a free joint; otherwise it is part of the world.
         shapes: keep the primitive shapes, each with a name.
 
     Raises:
         ValueError: MuJoCo does not accept the URDF.
-        ConfigError: the parameters name a link that it does not have.
+        ConfigError: the parameters name a link that the robot does not have.
     """
     import mujoco
 
@@ -288,14 +290,14 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
         joint = spec.joint(JOINT_NAMES[motor])
         joint.armature = robot.parameters.armature[motor]
         joint.frictionloss = robot.parameters.friction[motor]
-        joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
+        joint.actfrclimited = False  # the URDF's effort; the motors have their own limits
     robot.parameters.apply_to_links(spec)
     return spec
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def _simplified(robot: G1, shapes: bool) -> str:
-    """The URDF without meshes, finger joints and, unless wanted, shapes."""
+    """The URDF without meshes and finger joints, and without shapes unless `shapes` is set."""
     root = deepcopy(robot.xml)
     for settings in root.findall("mujoco"):
         root.remove(settings)
@@ -314,7 +316,7 @@ def _simplified(robot: G1, shapes: bool) -> str:
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def compiled_dynamics(robot: G1, gravity: float) -> Any:
-    """The model of a robot; not to be changed."""
+    """The compiled MuJoCo model of a robot; do not change it."""
     import mujoco
 
     try:
@@ -330,9 +332,9 @@ def compiled_dynamics(robot: G1, gravity: float) -> Any:
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def centres_of_mass(robot: G1) -> Floats:
-    """(L, 3) m, in the link's frame: the centre of mass of each link and of what is fixed to it.
+    """(L, 3) centre of mass of each link and the links fixed to it, m, in the link's frame.
 
-    Simulators that merge the links of fixed joints have these bodies. Zero for a link that is
+    These are the bodies in simulators that merge the links of fixed joints. Zero for a link that is
     fixed to another one.
 
     Raises:
@@ -354,7 +356,7 @@ def centres_of_mass(robot: G1) -> Floats:
 
 
 def friction_torque(dq: Floats, parameters: Parameters = NOMINAL) -> Floats:
-    """Torque (29,) against damping and dry friction at joint speeds dq (29,) rad/s, N·m.
+    """Torque (29,), N·m, that overcomes damping and dry friction at joint speeds dq (29,) rad/s.
 
     Dry friction is smoothed around zero speed, where its direction is unknown.
     """
@@ -364,13 +366,13 @@ def friction_torque(dq: Floats, parameters: Parameters = NOMINAL) -> Floats:
 
 
 def _rigid_part(model: Any, link: str) -> tuple[NDArray[np.intp], Floats]:
-    """The bodies (B,) fixed to a link, itself included, and their shares (B,) of the mass."""
+    """Bodies (B,) fixed to a link, including itself, and their shares (B,) of the mass."""
     bodies = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(link).id])
     return bodies, model.body_mass[bodies] / model.body_mass[bodies].sum()
 
 
 def _imu_pos(robot: G1) -> Floats:
-    """Position (3,) of the IMU in the base; its origin where the URDF has no `imu_in_pelvis`."""
+    """Position (3,) of the IMU in the base, m; zero if the URDF has no `imu_in_pelvis`."""
     names = robot.link_names
     link = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0
     return robot.origin_pos[link] if robot.parent[link] == 0 else np.zeros(3)

@@ -1,8 +1,8 @@
-"""Convex hulls of the robot's links, and where they touch each other.
+"""Convex hulls of the robot's links, and self-collision between them.
 
-hulls.json has them, made by tools/make_hulls.py from Unitree's meshes. A mesh reaches beyond its
-hull by 0.5 mm at most. A hull fills what is hollow in its link, as MuJoCo does with every mesh that
-collides.
+tools/make_hulls.py makes the hulls in hulls.json from Unitree's meshes. A mesh extends beyond its
+hull by at most 0.5 mm. A hull fills the cavities of its link, as MuJoCo does for every collision
+mesh.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Hull:
 
     Attributes:
         link: name of the link.
-        solid: Unitree's own models collide it: all but the outlines of feet and rubber hands. Of a
-            foot they collide four small spheres under the sole, which have a solid hull together.
+        solid: whether it collides in Unitree's models. The outlines of feet and rubber hands do
+            not. A foot collides with four small spheres under the sole, which have one solid hull.
         vertices: (V, 3) m in the link's frame; read-only.
     """
 
@@ -47,17 +47,17 @@ class Hull:
 
     @cached_property
     def sphere(self) -> tuple[Floats, float]:
-        """Centre (3,) and radius, m, of a sphere around it, in the link's frame."""
+        """Centre (3,) and radius of a bounding sphere, m, in the link's frame."""
         centre = self.vertices.mean(axis=0)
         return centre, float(np.linalg.norm(self.vertices - centre, axis=1).max())
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def read_hulls(robot: G1) -> tuple[Hull, ...]:
-    """The hulls of a robot's links; a link may have none or several.
+    """Read the hulls of a robot's links; a link may have none or several.
 
-    They are those of the revision that the robot's URDF is named after, and of the default one if
-    after neither, by the names of its links: a URDF of other makes gets those of links that it has.
+    The hulls are those of the revision with the URDF's robot name, or of the default revision. They
+    are matched by link name, so another URDF gets the hulls of the links that it has.
     """
     revision = robot.name if robot.name in REVISIONS else REVISIONS[0]
     text = resources.files(__package__).joinpath("hulls.json").read_text(encoding="utf-8")
@@ -72,7 +72,7 @@ def read_hulls(robot: G1) -> tuple[Hull, ...]:
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def never_collide(robot: G1) -> frozenset[tuple[str, str]]:
-    """Pairs of links whose contact means nothing, in the robot's order of links.
+    """Pairs of links whose contacts are ignored, in the robot's order of links.
 
     These are links that do not move relative to each other, links with one joint between them,
     whose hulls overlap there, and links whose hulls touch with all joints at 0.
@@ -95,11 +95,11 @@ def never_collide(robot: G1) -> frozenset[tuple[str, str]]:
 def add_hulls(
     spec: Any, hulls: Iterable[Hull], apart: Iterable[tuple[str, str]], *, contact_bit: int
 ) -> None:
-    """Add hulls to the bodies of a `mujoco.MjSpec`, as massless geoms that collide by themselves.
+    """Add hulls to the bodies of a `mujoco.MjSpec`, as massless geoms that collide with each other.
 
     Args:
-        spec: with a body for each link.
-        hulls: to add.
+        spec: a spec with a body for each link.
+        hulls: the hulls to add.
         apart: pairs of links that do not collide.
         contact_bit: the only bit of their `contype` and `conaffinity`.
     """
@@ -117,7 +117,7 @@ def add_hulls(
             mass=0,
             contype=contact_bit,
             conaffinity=contact_bit,
-            group=3,  # the first that MuJoCo's viewer hides
+            group=3,  # the first group that MuJoCo's viewer hides
         )
     for one, other in sorted(apart):
         if one in links and other in links:
@@ -126,19 +126,19 @@ def add_hulls(
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def _compiled(robot: G1, hulls: tuple[Hull, ...], apart: frozenset[tuple[str, str]]) -> Any:
-    """A model in which hulls collide; not to be changed."""
+    """A compiled model in which hulls collide; do not change it."""
     spec = mujoco_spec(robot, floating=True, shapes=False)
     add_hulls(spec, hulls, apart, contact_bit=1)
     return spec.compile()
 
 
 class SelfCollision:
-    """Finds where a robot's links touch each other.
+    """Detects contacts between the links of a robot.
 
     Args:
         robot: the G1.
-        hulls: those to look at; by default all.
-        apart: pairs of links to leave out, in the robot's order; `never_collide(robot)` by default.
+        hulls: the hulls to check; None: all.
+        apart: pairs of links to ignore, in the robot's order; None: `never_collide(robot)`.
 
     Raises:
         ValueError: MuJoCo does not accept the URDF.
@@ -166,14 +166,14 @@ class SelfCollision:
         self._names = robot.link_names
 
     def depths(self, joint_pos: Floats) -> dict[tuple[str, str], Floats]:
-        """How deep links are in each other in poses; 18 us a pose.
+        """Penetration depths of links in poses; takes 18 us per pose.
 
         Args:
             joint_pos: (T, 29) rad, motor order.
 
         Returns:
-            By pair of links that touch in a pose, in the robot's order of links: (T,) m that the
-            one has to be moved until they only touch, 0 where they do not touch.
+            (T,) penetration depth, m, by pair of links that touch in any pose, in the robot's order
+            of links; 0 in poses in which they do not touch.
         """
         import mujoco
 
@@ -181,7 +181,7 @@ class SelfCollision:
         qpos, kinematics, collision = data.qpos, mujoco.mj_kinematics, mujoco.mj_collision
         poses = np.tile(qpos, (len(joint_pos), 1))
         poses[:, self._joints] = joint_pos[:, self._present]
-        numbers, geoms, distances = [], [], []  # a contact each
+        numbers, geoms, distances = [], [], []  # one item per contact
         for number, pose in enumerate(poses):
             qpos[:] = pose
             kinematics(model, data)

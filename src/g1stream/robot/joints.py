@@ -1,7 +1,7 @@
 """The 29 joints of a G1: names, limbs, motors and example gains, in motor order.
 
 Motor order is the order of the motors in LowCmd and LowState. All arrays are read-only. G1s with
-fewer joints keep the order, and leave out motors: `JOINT_SETS`.
+fewer joints have the same order without the missing motors, see `JOINT_SETS`.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 """Limb name to the motor indices of that limb; together the groups hold each joint once."""
 
 LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
-"""The joints of the legs come first."""
+"""Number of leg joints, which are the first ones."""
 
 _OTHER_SIDE: Final = {"left": "right", "right": "left"}
 MIRRORED_JOINT: Final = np.array(
@@ -89,24 +89,24 @@ MIRRORED_JOINT: Final = np.array(
         for side, _, joint in (name.partition("_") for name in JOINT_NAMES)
     ]
 )
-"""(29,) the joint on the other side, or the same one in the middle."""
+"""(29,) index of the joint on the other side; for a joint of the waist, its own index."""
 
 MIRROR_SIGN: Final = np.array(
     [-1.0 if "_roll_" in name or "_yaw_" in name else 1.0 for name in JOINT_NAMES]
 )
-"""(29,) a mirrored pose has the angles `MIRROR_SIGN * joint_pos[..., MIRRORED_JOINT]`: an axis is a
-pseudovector, so that turns about x and z change their sign and those about y do not."""
+"""(29,) signs of a mirrored pose, `MIRROR_SIGN * joint_pos[..., MIRRORED_JOINT]`. An axis is a
+pseudovector, so rotations about x and z change their sign, and those about y do not."""
 
 
 def matching_joints(pattern: str, where: str) -> list[int]:
-    """The motor indices of a limb, both arms or legs, a joint, or the joints of a pattern.
+    """Motor indices of a limb, both arms or legs, a joint, or a pattern of joints.
 
     Args:
-        pattern: `left_arm`, `arms`, `waist_yaw_joint` or `*_knee_joint`.
-        where: what is wrong if nothing matches, such as `In stream.joints`; for the error.
+        pattern: a name or pattern, such as `left_arm`, `arms`, `waist_yaw_joint`, `*_knee_joint`.
+        where: source of the pattern for the error, such as `In stream.joints`.
 
     Raises:
-        ConfigError: it matches no joint.
+        ConfigError: the pattern matches no joint.
     """
     limbs = [limb for limb in JOINT_GROUPS if pattern in (limb, f"{limb.rpartition('_')[2]}s")]
     found = [joint for limb in limbs for joint in JOINT_GROUPS[limb]]
@@ -124,7 +124,7 @@ def matching_joints(pattern: str, where: str) -> list[int]:
 
 
 def select_joints(selection: str | None) -> NDArray[np.bool_]:
-    """(29,) which joints `stream.joints` names: all if None.
+    """(29,) the joints that `stream.joints` selects; all if None.
 
     Raises:
         ConfigError: a part of the selection matches no joint.
@@ -137,13 +137,13 @@ def select_joints(selection: str | None) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class JointSet:
-    """Which of the 29 joints a kind of G1 has.
+    """The joints of one kind of G1.
 
     Attributes:
-        name: of the kind.
-        mode_machine: what its LowState says.
-        absent: motor indices of the joints that it does not have. On the wire their motors have
-            mode 0, and everything else 0.
+        name: name of the kind.
+        mode_machine: value of mode_machine in its LowState.
+        absent: motor indices of the missing joints. In LowCmd and LowState all values of their
+            motors are 0, including the mode.
     """
 
     name: str
@@ -152,11 +152,11 @@ class JointSet:
 
     @property
     def present(self) -> NDArray[np.bool_]:
-        """(29,) which joints it has."""
+        """(29,) the joints that it has."""
         return np.isin(np.arange(N_JOINTS), self.absent, invert=True)
 
     def allowed(self, modes: Sequence[int]) -> tuple[int, ...]:
-        """`safety.mode_machine` for this kind: its own where there is that of 29 joints."""
+        """`safety.mode_machine` for this kind, whose value replaces that of the 29-joint G1."""
         return tuple(
             self.mode_machine if mode == JOINT_SETS[0].mode_machine else mode for mode in modes
         )
@@ -166,7 +166,7 @@ class JointSet:
 
     @classmethod
     def of_mode(cls, mode_machine: int) -> JointSet | None:
-        """The kind of G1 whose LowState has this mode_machine; None where there is none."""
+        """The kind of G1 with this mode_machine in its LowState; None if there is none."""
         return next((one for one in JOINT_SETS if one.mode_machine == mode_machine), None)
 
 
@@ -186,11 +186,11 @@ JOINT_SETS: Final = (
     JointSet("g1_29dof_lock_waist", 6, _absent("waist_roll_joint", "waist_pitch_joint")),
     JointSet("g1_dual_arm", 9, _absent("legs", "waist")),
 )
-"""The kinds of G1, that with all 29 joints first."""
+"""The kinds of G1; the first one has all 29 joints."""
 
 
 def by_joint(values: Sequence[N]) -> dict[str, N]:
-    """Joint name to value of (29,) numbers, highest first, without the joints that have 0."""
+    """Map joint names to the nonzero ones of (29,) values, highest first."""
     counted = [(name, n) for name, n in zip(JOINT_NAMES, values, strict=True) if n]
     return dict(sorted(counted, key=lambda one: -one[1]))
 
@@ -207,13 +207,13 @@ EXAMPLE_KP: Final = _per_joint((60, 60, 60, 100, 40, 40), (60, 40, 40), (40,) * 
 EXAMPLE_KD: Final = _per_joint((1, 1, 1, 2, 1, 1), (1,) * 3, (1,) * 7)
 """Damping (29,) of Unitree's G1 low-level example, N·m·s/rad."""
 
-# What a motor and its gearbox add to the mechanics of the links. The figures are those of
-# unitree_mujoco's model of the G1; Unitree has not published the robot's own.
+# Parameters of the motors and gearboxes. The values are from unitree_mujoco's model of the G1;
+# Unitree has not published those of the robot.
 
 TORQUE_LIMIT: Final = _per_joint(
     (88, 88, 88, 139, 50, 50), (88, 50, 50), (25, 25, 25, 25, 25, 5, 5)
 )
-"""Highest motor torque (29,) in either direction, N·m; the URDF's efforts differ."""
+"""Maximum motor torque (29,) in either direction, N·m; the efforts in the URDF differ."""
 
 ARMATURE: Final = _per_joint((0.01,) * 6, (0.01,) * 3, (0.01,) * 7)
 """Inertia of the rotor (29,), reflected to the joint, kg·m²."""
@@ -222,4 +222,4 @@ DAMPING: Final = _per_joint((0.05,) * 6, (0.05,) * 3, (0.05,) * 7)
 """Viscous friction (29,), N·m·s/rad."""
 
 FRICTION: Final = _per_joint((0.2,) * 6, (0.2,) * 3, (0.2,) * 5 + (0.1,) * 2)
-"""Dry friction (29,), N·m; less in the small motors of wrist pitch and yaw."""
+"""Dry friction (29,), N·m; lower in the small motors of wrist pitch and yaw."""

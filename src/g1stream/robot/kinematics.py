@@ -1,4 +1,4 @@
-"""Forward kinematics of many frames at once."""
+"""Forward kinematics, vectorised over frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
 
 
 BLOCK: Final = 1024
-"""Frames at once: with fewer the calls take longer than the numbers, with more a cache is full."""
+"""Frames per block; smaller ones are slowed by call overhead, larger ones exceed the CPU cache."""
 
 
 class LinkPoses(NamedTuple):
@@ -50,7 +50,7 @@ class LinkVelocities(NamedTuple):
     """Velocities of T frames by L links in the world frame, in the order of `G1.link_names`.
 
     Attributes:
-        lin: (T, L, 3) m/s, of the origin of the link's frame, or of another point of the link.
+        lin: (T, L, 3) m/s of the origin of the link's frame, or of another point of the link.
         ang: (T, L, 3) rad/s.
     """
 
@@ -61,7 +61,7 @@ class LinkVelocities(NamedTuple):
 def local_transforms(
     robot: G1, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats
 ) -> LinkPoses:
-    """Each link's pose relative to its parent link; the root's relative to the world.
+    """Compute the pose of each link relative to its parent link, and of the root in the world.
 
     Args:
         robot: the robot.
@@ -70,14 +70,14 @@ def local_transforms(
         root_quat_wxyz: (T, 4) unit quaternions, or (4,) for all frames.
 
     Returns:
-        Poses of shape (T, L, ...); quaternion signs are continuous where the inputs are.
+        Poses of shape (T, L, ...); quaternion signs are continuous if those of the inputs are.
 
     Raises:
-        ValueError: `joint_pos` is not (T, 29), or the root arrays do not fit its T.
+        ValueError: `joint_pos` is not (T, 29), or the root arrays have another T.
     """
     n_frames = _n_frames(robot, joint_pos)
-    # With q the origin's quaternion and a the joint's axis, a rotation by t gives
-    # cos(t/2) q + sin(t/2) q (0, a): two constants per link instead of a product per frame.
+    # With q the quaternion of the origin and a the axis of the joint, a rotation by t gives
+    # cos(t/2) q + sin(t/2) q (0, a), with two constants per link instead of a product per frame.
     moving = robot.joint_of_link >= 0
     half = joint_pos[:, robot.joint_of_link[moving], None] / 2
     origin, turned = robot.origin_quat_wxyz[moving], _turned(robot)[moving]
@@ -95,14 +95,15 @@ def forward_kinematics(
     root_quat_wxyz: Floats,
     links: Sequence[int] | None = None,
 ) -> LinkPoses:
-    """Each link's pose in the world; shapes and errors are those of `local_transforms`.
+    """Compute the pose of each link in the world; shapes and errors as of `local_transforms`.
 
     Args:
         robot: the robot.
         joint_pos: rad, motor order.
         root_pos: m.
         root_quat_wxyz: unit quaternions.
-        links: whose poses are wanted, all if None; those of links that carry none of them are NaN.
+        links: links whose poses are computed, None: all. Other links are NaN unless they are
+            between the root and one of these.
     """
     n_frames, n_links = _n_frames(robot, joint_pos), len(robot.parent)
     times, turn, _ = _matrices(robot)
@@ -116,7 +117,7 @@ def forward_kinematics(
     for level in robot.levels if links is None else _levels(robot, tuple(links)):
         above, pos_above = quat[robot.parent[level]], pos[robot.parent[level]]
         pos[level] = pos_above + turn[level] @ _products(above)
-        turned = times[level] @ above  # for the joint at 0 and at pi
+        turned = times[level] @ above  # with the joint at 0 and at pi
         cos, sin = np.cos(half[level]), np.sin(half[level])
         quat[level] = cos * turned[:, :4] + sin * turned[:, 4:]
     return LinkPoses(pos.transpose(2, 0, 1), quat.transpose(2, 0, 1))
@@ -131,24 +132,24 @@ def link_velocities(
     links: Sequence[int] | None = None,
     points: Floats | None = None,
 ) -> LinkVelocities:
-    """Each link's velocity in the world, from the root outwards.
+    """Compute the velocity of each link in the world, from the root outwards.
 
-    A link turns with its parent and about its joint, and its origin is a point of its parent.
+    A link rotates with its parent and about its joint, and its origin is a point of its parent.
 
     Args:
         robot: the robot.
-        poses: of `forward_kinematics`.
+        poses: poses from `forward_kinematics`.
         joint_vel: (T, 29) rad/s, motor order.
-        root_lin_vel: (T, 3) m/s, of the root's origin, world frame.
+        root_lin_vel: (T, 3) m/s of the root's origin, world frame.
         root_ang_vel: (T, 3) rad/s, world frame.
-        links: as of `forward_kinematics`, and with the same ones as the poses.
-        points: (L, 3) m, in each link's frame, whose linear velocities are wanted; the origins if
-            None.
+        links: as of `forward_kinematics`, the same as for `poses`.
+        points: (L, 3) points in the link frames, m, whose linear velocities are computed; None:
+            the origins.
     """
     pos, quat = (part.transpose(1, 2, 0) for part in poses)
     lin, ang = np.full(pos.shape, np.nan), np.full(pos.shape, np.nan)
     lin[0], ang[0] = root_lin_vel.T, root_ang_vel.T
-    speed = joint_vel.T[robot.joint_of_link, None]  # of a link without a joint the axis is zero
+    speed = joint_vel.T[robot.joint_of_link, None]  # a link without a joint has the axis zero
     *_, axis = _matrices(robot)
     offset = _turning(np.zeros_like(robot.origin_pos) if points is None else points)
     shift = np.zeros(pos.shape)
@@ -170,7 +171,7 @@ def pose_blocks(
     root_quat_wxyz: Floats,
     links: Sequence[int] | None = None,
 ) -> Iterator[tuple[slice, LinkPoses]]:
-    """`forward_kinematics` of `BLOCK` frames at a time, so that memory does not grow with them.
+    """Apply `forward_kinematics` to blocks of `BLOCK` frames, with constant memory.
 
     Args:
         robot: the robot.
@@ -180,7 +181,7 @@ def pose_blocks(
         links: as of `forward_kinematics`.
 
     Yields:
-        Which frames, in order, and the poses of their links.
+        The slice of frames, in order, and the poses of their links.
     """
     for first in range(0, len(joint_pos), BLOCK):
         part = slice(first, min(first + BLOCK, len(joint_pos)))
@@ -188,9 +189,9 @@ def pose_blocks(
         yield part, forward_kinematics(robot, *pose, links)
 
 
-@lru_cache(maxsize=2 * KEPT_ROBOTS)  # of each robot, for a few sets of links
+@lru_cache(maxsize=2 * KEPT_ROBOTS)  # a few sets of links for each robot
 def _levels(robot: G1, links: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
-    """`robot.levels` without the links that carry none of the given ones."""
+    """`robot.levels`, reduced to the given links and those between them and the root."""
     wanted = set(links)
     for level in reversed(robot.levels):
         wanted.update(int(robot.parent[link]) for link in level if link in wanted)
@@ -199,11 +200,12 @@ def _levels(robot: G1, links: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def _matrices(robot: G1) -> tuple[Floats, Floats, Floats]:
-    """Of each link, (L, 8, 4), (L, 3, 16) and (L, 3, 16): what is constant in its pose.
+    """Constant matrices of each link's pose: (L, 8, 4), (L, 3, 16) and (L, 3, 16).
 
-    A quaternion (4,) times a constant one is linear in its components: the two products of the
-    parent's with what `local_transforms` mixes. A constant vector that it turns is linear in their
-    products (16,): the link's origin, which the parent's turns, and its axis, which its own turns.
+    The product of a quaternion (4,) with a constant one is linear in its components. The first
+    matrices multiply the parent's quaternion by the two constants of `local_transforms`. The
+    rotation of a constant vector is linear in the products (16,) of the components. The other two
+    rotate the link's origin by the parent's quaternion, and the link's axis by its own.
     """
     unit = np.eye(4)[:, None]
     times = [quat_mul(unit, one) for one in (robot.origin_quat_wxyz, _turned(robot))]
@@ -212,7 +214,7 @@ def _matrices(robot: G1) -> tuple[Floats, Floats, Floats]:
 
 
 def _turning(vectors: Floats) -> Floats:
-    """(L, 3, 16) matrices: times `_products` of a quaternion, each is its vector (L, 3), turned."""
+    """(L, 3, 16) matrices that rotate vectors (L, 3), when multiplied by `_products`."""
     unit = np.eye(4)[:, None]
     pure = np.concatenate([np.zeros((len(vectors), 1)), vectors], axis=1)
     turned = quat_mul(quat_mul(unit[:, None], pure), quat_conj(unit))[..., 1:]
@@ -220,7 +222,7 @@ def _turning(vectors: Floats) -> Floats:
 
 
 def _products(quat: Floats) -> Floats:
-    """(N, 16, T) the products of two components each of quaternions (N, 4, T)."""
+    """(N, 16, T) products of all pairs of components of quaternions (N, 4, T)."""
     products: Floats = (quat[:, :, None] * quat[:, None]).reshape(len(quat), 16, quat.shape[2])
     return products
 
@@ -239,6 +241,6 @@ def _n_frames(robot: G1, joint_pos: Floats) -> int:
 
 
 def _turned(robot: G1) -> Floats:
-    """(L, 4) each link's quaternion to its parent after half a turn of its joint, at pi."""
+    """(L, 4) quaternion of each link relative to its parent with its joint at pi."""
     axis = np.concatenate([np.zeros((len(robot.axis), 1)), robot.axis], axis=1)
     return quat_mul(robot.origin_quat_wxyz, axis)

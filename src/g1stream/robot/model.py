@@ -1,6 +1,6 @@
-"""The robot model: the links, joints and limits of a G1, as arrays.
+"""The robot model: links, joints and limits of a G1, as arrays.
 
-Arrays have 29 joints, in motor order, whichever of them a robot has: `G1.present` tells.
+All arrays have 29 joints in motor order, even if a robot has fewer, see `G1.present`.
 """
 
 from __future__ import annotations
@@ -31,44 +31,44 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_URDF", "G1", "REVISIONS", "VARIANTS"]
 
 REVISIONS: Final = ("g1_29dof_rev_1_0", "g1_29dof")
-"""The robots in this package, the default one first; unitree_mujoco simulates the other one."""
+"""The 29-joint robots in this package, the default first; unitree_mujoco simulates the second."""
 
 VARIANTS: Final = tuple(one.name for one in JOINT_SETS if one.absent)
-"""G1s with fewer joints, by name: the default one with the absent joints fixed at 0."""
+"""Names of the G1s with fewer joints; the default robot with the absent joints fixed at 0."""
 
 DEFAULT_URDF = resources.files(__package__) / f"{REVISIONS[0]}.urdf"
 
-#: Limits in URDFs are rounded, rad, rad/s, N·m.
+#: Tolerance for rounded limits in URDFs, rad, rad/s, N·m.
 _ROUNDING: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class G1:
-    """A G1 as its URDF describes it. All arrays are read-only.
+    """A G1 as described by its URDF; all arrays are read-only.
 
-    L counts the links, moving and fixed. The joint of a link is the one to its parent; the link's
-    frame is at the joint's origin, turned by `joint_pos` about the joint's axis.
+    L is the number of links, moving and fixed. The joint of a link connects it to its parent. The
+    frame of a link is at the joint's origin, rotated by `joint_pos` about the joint's axis.
 
     Attributes:
-        source: path of the URDF, or "default", or the name of a revision in this package.
-        urdf: the URDF's XML text.
-        name: the URDF's robot name.
+        source: path of the URDF, or "default", or the name of a robot in this package.
+        urdf: XML text of the URDF.
+        name: robot name in the URDF.
         link_names: (L,) root first, parents before children.
         parent: (L,) index of the parent link, -1 for the root.
-        joint_of_link: (L,) index into `joint_names` of the link's joint, -1 where it does not move.
-        origin_pos: (L, 3) m, the joint's origin in the parent link's frame.
-        origin_quat_wxyz: (L, 4) likewise, at zero joint position.
-        axis: (L, 3) unit axis in the link's own frame, zero where the link does not move.
+        joint_of_link: (L,) index into `joint_names` of the link's joint, -1 for a fixed link.
+        origin_pos: (L, 3) position of the joint's origin in the parent link's frame, m.
+        origin_quat_wxyz: (L, 4) its orientation in the parent link's frame, at zero joint position.
+        axis: (L, 3) unit axis in the link's own frame, zero for a fixed link.
         joint_names: (29,) motor order.
-        joint_set: which of these joints it has; the others have limits that nothing passes.
-        lower: (29,) rad.
-        upper: (29,) rad.
-        velocity: (29,) rad/s, highest speed in either direction.
-        effort: (29,) N·m, highest torque in either direction.
+        joint_set: the joints that the robot has; the limits of the others are never exceeded.
+        lower: (29,) lower position limit, rad.
+        upper: (29,) upper position limit, rad.
+        velocity: (29,) maximum speed in either direction, rad/s.
+        effort: (29,) maximum torque in either direction, N·m.
         ignored_joints: moving joints that are not the G1's own (fingers); they are held at zero.
         capped: joints whose limits in the URDF are wider than those of every robot in this package,
             and were narrowed to these.
-        parameters: of its motors and links, beside the URDF.
+        parameters: parameters of motors and links that are not in the URDF.
     """
 
     source: str
@@ -101,30 +101,30 @@ class G1:
 
     @property
     def warning(self) -> str:
-        """About limits of the URDF that were narrowed, or ""."""
+        """A warning about limits of the URDF that were narrowed, or ""."""
         if not self.capped:
             return ""
         return (
             f"{self.source} has wider limits than a G1 for {listed(self.capped, 3)}; "
-            "those of a G1 are kept (safety.urdf_limits = true takes the URDF's)"
+            "the limits of a G1 are used (safety.urdf_limits = true uses the URDF's)"
         )
 
     @property
     def present(self) -> NDArray[np.bool_]:
-        """(29,) which joints the robot has."""
+        """(29,) the joints that the robot has."""
         return self.joint_set.present
 
     def select(self, selection: str | None) -> NDArray[np.bool_]:
-        """(29,) which of the robot's joints a selection such as `arms,waist` names: all if None.
+        """(29,) the robot's joints in a selection such as `arms,waist`; all if None.
 
         Raises:
-            ConfigError: a part of it matches no joint, or the robot has none of them.
+            ConfigError: a part of the selection matches no joint, or the robot has none of them.
         """
         chosen = select_joints(selection) & self.present
         if not chosen.any():
             raise ConfigError(
-                f"stream.joints = {selection!r} names joints that a {self.joint_set.name} lacks.",
-                "Name some that it has.",
+                f"stream.joints = {selection!r} selects joints that a {self.joint_set.name} lacks.",
+                "Select joints that it has.",
             )
         return chosen
 
@@ -136,7 +136,7 @@ class G1:
     @classmethod
     @cache
     def default(cls) -> G1:
-        """The robot in this package: figures of g1_29dof_rev_1_0, primitive shapes.
+        """The default robot in this package, g1_29dof_rev_1_0 with primitive shapes.
 
         Every call returns the same object.
         """
@@ -156,30 +156,28 @@ class G1:
         own_limits: bool = False,
         params: Path | None = None,
     ) -> G1:
-        """The robot of a URDF file, or of a name in `REVISIONS` or `VARIANTS`; the first if None.
+        """Load the robot of a URDF file, or of a name in `REVISIONS` or `VARIANTS`.
 
-        Mesh files need not exist: only names, frames and limits are read. Limits that are wider
-        than those of every robot in this package are narrowed to these: a motor does not get
-        stronger by what a file says.
+        Mesh files need not exist, because only names, frames and limits are read. Limits that are
+        wider than those of every robot in this package are narrowed to these, because a file cannot
+        make a motor stronger.
 
         Args:
-            path: of the URDF, or a name.
-            own_limits: keep the URDF's limits however wide they are.
-            params: file of its parameters; where it names a robot, that is the one if `path` is
-                None.
+            path: path of the URDF, or a name; None: the robot of `params`, or the default one.
+            own_limits: keep the URDF's limits even if they are wider.
+            params: parameters file of the robot.
 
         Raises:
-            RobotError: there is no such file, or it does not describe a G1.
-            ConfigError: the parameters are not valid, or are those of another robot.
+            RobotError: the file cannot be read, or does not describe a G1.
+            ConfigError: the parameters are not valid, or belong to another robot.
         """
         if params is not None:
             parameters = load_parameters(params)
             robot = cls.load(path or parameters.robot, own_limits=own_limits)
             if parameters.robot not in (None, robot.name):
                 raise ConfigError(
-                    f"The parameters {params} are those of {parameters.robot}, not of "
-                    f"{robot.name}.",
-                    "Leave --robot out, or fit the parameters anew with this robot.",
+                    f"The parameters {params} are for {parameters.robot}, not for {robot.name}.",
+                    "Remove --robot, or fit the parameters again with this robot.",
                 )
             return replace(robot, parameters=parameters)
         if path is None:
@@ -191,12 +189,12 @@ class G1:
         except OSError as error:
             raise RobotError(
                 f"The URDF {path} cannot be read: {error.strerror}.",
-                f"Give the path of a URDF file or one of {', '.join((*REVISIONS, *VARIANTS))}.",
+                f"Use the path of a URDF file or one of {', '.join((*REVISIONS, *VARIANTS))}.",
             ) from error
         except UnicodeDecodeError as error:
             raise RobotError(
                 f"The URDF {path} is not text: its byte {error.start} is not UTF-8.",
-                "Give a URDF in XML, saved as UTF-8.",
+                "Use a URDF in XML, saved as UTF-8.",
             ) from error
         robot = cls.from_urdf(urdf, str(path))
         return robot if own_limits else robot._within_builtin()
@@ -220,26 +218,26 @@ class G1:
             names = listed([self.joint_names[joint] for joint in outside])
             raise RobotError(
                 f"The range of {names} in {self.source} is outside that of a G1.",
-                "Mend the URDF; safety.urdf_limits = true takes its limits as they are.",
+                "Correct the URDF; safety.urdf_limits = true uses its limits unchanged.",
             )
         capped = tuple(name for name, capped in zip(self.joint_names, wider, strict=True) if capped)
         return replace(self, **limits, capped=capped)
 
     @classmethod
     def from_urdf(cls, urdf: str, source: str) -> G1:
-        """The robot of a URDF's XML text; `source` is where it came from.
+        """Make the robot from the XML text of a URDF; `source` names its origin in errors.
 
-        A link such as `world`, which only places the pelvis, is left out.
+        A link such as `world`, which only positions the pelvis, is left out.
 
         Raises:
-            RobotError: it does not describe a G1.
+            RobotError: the URDF does not describe a G1.
         """
         urdf = without_world(urdf, source)
         return cls(source, urdf, **read_urdf(urdf, source))
 
     @property
     def xml(self) -> Element:
-        """The root element of the URDF; not to be changed."""
+        """The root element of the URDF; do not change it."""
         return parse_urdf(self.urdf, self.source)
 
     def link_index(self, name: str) -> int:
@@ -263,8 +261,8 @@ class G1:
     def levels(self) -> tuple[NDArray[np.intp], ...]:
         """Link indices by distance from the root, nearest first, without the root.
 
-        The links of one level depend on the previous level only, so that kinematics takes a level
-        at a time.
+        The links of one level depend only on the previous level, so kinematics computes a level at
+        a time.
         """
         depth = np.zeros(len(self.parent), dtype=np.intp)
         for link, parent in enumerate(self.parent[1:], start=1):

@@ -1,7 +1,7 @@
-"""The parameters of one G1: what its motors and links have that a URDF does not say.
+"""Parameters of one G1 beyond its URDF: motor friction, armature, delay, torque scale and masses.
 
-They come from a TOML file, such as `g1stream fit` writes. A `G1` carries them, and whatever
-computes with the robot takes them from there: the simulator, and the torque of the feed-forward.
+They come from a TOML file, such as one written by `g1stream fit`, and are stored in the `G1`. The
+simulator and the feed-forward torque use them.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ __all__ = ["NOMINAL", "Parameters", "load_parameters"]
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """The parameters of one robot; the default ones are those of unitree_mujoco's model.
+    """The parameters of one robot; the defaults are those of unitree_mujoco's model.
 
     Attributes:
-        damping: (29,) N·m·s/rad, viscous friction, motor order.
-        friction: (29,) N·m, dry (Coulomb) friction.
-        armature: (29,) kg·m², inertia of the rotor, reflected to the joint.
-        torque_scale: (29,) torque that a motor applies, over the torque that its command asks for.
-        command_delay: s, from when a LowCmd is received to when the motors obey it.
-        mass: kg that are added to links, by link, each at the link's centre of mass.
-        com: (3,) m by which links' centres of mass are shifted, by link, in the link's frame.
+        damping: (29,) viscous friction, N·m·s/rad, motor order.
+        friction: (29,) dry (Coulomb) friction, N·m.
+        armature: (29,) inertia of the rotor, reflected to the joint, kg·m².
+        torque_scale: (29,) ratio of the torque that a motor applies to the commanded torque.
+        command_delay: time from receiving a LowCmd until the motors apply it, s.
+        mass: mass added at the centre of mass of a link, kg, by link.
+        com: (3,) shift of the centre of mass of a link, m, in the link's frame, by link.
         robot: name of the robot that masses and centres of mass are relative to; None: any.
-        path: of the file; None where there is none.
-        sha256: of that file, in hex.
-        values: as the file has them.
+        path: path of the file; None without a file.
+        sha256: SHA-256 of the file, in hex.
+        values: the values in the file.
     """
 
     damping: Floats = field(default_factory=DAMPING.copy)
@@ -64,35 +64,35 @@ class Parameters:
             body = spec.body(link)
             if body is None:
                 raise ConfigError(
-                    f"The parameters {self.path} name {link}, which is no link of the robot.",
-                    "Name a link of the URDF, such as torso_link.",
+                    f"The parameters {self.path} name {link}, which is not a link of the robot.",
+                    "Use a link of the URDF, such as torso_link.",
                 )
             mass = float(body.mass) + self.mass.get(link, 0.0)
             if not mass > 0.0:
                 raise ConfigError(
-                    f"The parameters {self.path} leave {link} a mass of {mass:g} kg.",
-                    "Add a mass that leaves it more than 0.",
+                    f"The parameters {self.path} reduce the mass of {link} to {mass:g} kg.",
+                    "Use a value with which its mass is above 0.",
                 )
             body.mass = mass
             body.ipos = np.asarray(body.ipos) + self.com.get(link, 0.0)
 
 
 NOMINAL: Final = Parameters()
-"""Those of unitree_mujoco's model; not to be changed."""
+"""The parameters of unitree_mujoco's model; do not change them."""
 
 _OF_MOTORS: Final = ("damping", "friction", "armature", "torque_scale")
 
 
 def load_parameters(path: Path) -> Parameters:
-    """The parameters in a TOML file; what it leaves out keeps its default.
+    """Load the parameters in a TOML file; missing ones keep their defaults.
 
     Raises:
-        ConfigError: it cannot be read, a name matches no joint, or a value is out of range.
+        ConfigError: the file cannot be read, a name matches no joint, or a value is out of range.
     """
     from g1stream.config import ParametersFile, read_table
     from g1stream.files import read_file
 
-    remedy = "Correct the value; docs/gap.md has every entry with its unit."
+    remedy = "Correct the value; docs/gap.md lists every entry with its unit."
     values, _ = read_table(ParametersFile, path, "parameters file", remedy)
     motors: dict[str, Floats] = {}
     for name in _OF_MOTORS:

@@ -1,4 +1,4 @@
-"""The shapes of a robot: the <visual> elements of its URDF, and its meshes for viewers."""
+"""Shapes of a robot: the <visual> elements of its URDF, and its meshes for viewers."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ __all__ = [
 
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
-#: A ghost is smaller by this on every side, m: where two surfaces coincide, a viewer shows now this
-#: and now that one. An error that moves a link by less leaves the ghost inside the robot.
+#: Distance by which a ghost is smaller on every side, m, because coinciding surfaces flicker in
+#: viewers. A smaller tracking error leaves the ghost inside the robot.
 _GHOST_INSET: Final = 0.002
 _GREY: Final = (0.7, 0.7, 0.7, 1.0)
-#: What a shape of each kind has to say.
+#: Attributes that a shape of each kind needs.
 _NEEDED: Final = {
     "box": ("size",),
     "cylinder": ("radius", "length"),
@@ -60,17 +60,17 @@ _NEEDED: Final = {
     "mesh": ("filename",),
 }
 _PURPOSE: Final = "Meshes need"
-#: Where the package example-robot-data, of the extra `meshes`, has the G1.
+#: Path of the G1 in the package example-robot-data, of the extra `meshes`.
 _REAL_G1: Final = (
     "cmeel.prefix/share/example-robot-data/robots/g1_description/urdf/g1_29dof_rev_1_0.urdf"
 )
-#: A triangle of a binary STL file: its normal, its corners, and two bytes without a meaning.
+#: A triangle of a binary STL file: normal, corners, and two unused bytes.
 _TRIANGLE: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 _STL_HEADER: Final = 84
-#: Triangles that a mesh is reduced to. More stay where fewer would bend its surface too far.
+#: Target number of triangles of a mesh. More remain if fewer would deform its surface too much.
 _TRIANGLES: Final = 2000
-#: How far the decimation goes beyond the flattest edges, 0 to 10. At 2 the extent of every mesh of
-#: the G1 is kept to 0.6 mm, at 3 to 4 mm, at the library's 7 to 11 mm.
+#: Aggressiveness of the decimation, 0 to 10. At 2 the size of every mesh of the G1 changes by at
+#: most 0.6 mm, at 3 by 4 mm, at the library's default of 7 by 11 mm.
 _AGGRESSION: Final = 2.0
 
 
@@ -79,23 +79,23 @@ class Visual:
     """One shape of a link."""
 
     link: str
-    kind: Kind  # a cylinder's axis is along z
-    pos: tuple[float, ...]  # (3,) m, its centre in the link's frame; a mesh's origin
+    kind: Kind  # the axis of a cylinder is z
+    pos: tuple[float, ...]  # (3,) centre, or origin of a mesh, in the link's frame, m
     quat_wxyz: tuple[float, ...]  # (4,) in the link's frame
-    size: tuple[float, ...]  # (3,) m, with diameters for round shapes; a mesh's scale
-    rgba: tuple[float, ...]  # (4,) each from 0 to 1; grey where the URDF names no colour
-    coloured: bool  # the URDF names a colour
-    mesh: str = ""  # the file as the URDF names it; empty for other kinds
+    size: tuple[float, ...]  # (3,) m, with diameters for round shapes; the scale of a mesh
+    rgba: tuple[float, ...]  # (4,) each from 0 to 1; grey if the URDF has no colour
+    coloured: bool  # whether the URDF has a colour
+    mesh: str = ""  # file name in the URDF; empty for other kinds
 
 
 def ghost_size(size: Sequence[float]) -> tuple[float, ...]:
-    """The extent (3,) of a ghost's box, sphere or cylinder, by that of the robot's, m."""
+    """Size (3,) of a ghost's box, sphere or cylinder, from that of the robot's, m."""
     return tuple(max(one - 2.0 * _GHOST_INSET, one / 2) for one in size)
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def read_visuals(robot: G1) -> tuple[Visual, ...]:
-    """The shapes of a robot's links, in the order of its URDF.
+    """Read the shapes of a robot's links, in the order of its URDF.
 
     Raises:
         RobotError: a number of a shape is missing or wrong, or the kind of shape is unknown.
@@ -109,7 +109,7 @@ def read_visuals(robot: G1) -> tuple[Visual, ...]:
 
 
 def parse_visuals(robot: G1) -> tuple[Visual, ...]:
-    """The same of any URDF, by yourdfpy."""
+    """As `read_visuals`, for any URDF, with yourdfpy."""
     materials = robot.xml.findall("material")
     for material in materials:
         check_numbers(material, f"{robot.source}: a material")
@@ -130,7 +130,7 @@ def parse_visuals(robot: G1) -> tuple[Visual, ...]:
 
 
 def _shapes_alone(link: Element, source: str) -> Element:
-    """A link with nothing but its shapes, which are checked."""
+    """A copy of a link with only its shapes, after checking these."""
     name = link.get("name", "")
     alone = ElementTree.Element("link", name=name)
     alone.extend(link.findall("visual"))
@@ -144,13 +144,15 @@ def _shapes_alone(link: Element, source: str) -> Element:
                 "Make it a box, a cylinder, a sphere or a mesh with its filename.",
             )
         if lacking := [key for key in _NEEDED[kind] if not shape.get(key)]:
-            raise RobotError(f"{where} is a {kind} without {lacking[0]}.", "Give it one.")
+            raise RobotError(
+                f"{where} is a {kind} without {lacking[0]}.", f"Add the attribute {lacking[0]}."
+            )
     check_numbers(alone, where)
     return alone
 
 
 def _size_of(geometry: Any) -> tuple[Kind, tuple[float, ...], str]:
-    """Kind, size and mesh name of a geometry that yourdfpy has read."""
+    """Kind, size and mesh name of a geometry of yourdfpy."""
     if geometry.box is not None:
         return "box", tuple(geometry.box.size.tolist()), ""
     if geometry.sphere is not None:
@@ -163,10 +165,10 @@ def _size_of(geometry: Any) -> tuple[Kind, tuple[float, ...], str]:
 
 
 def find_mesh(robot: G1, name: str) -> Path | None:
-    """The file of a mesh, or None where it does not exist.
+    """Find the file of a mesh; None if it does not exist.
 
-    Relative names start from the URDF's directory. For `package://NAME/REST` the package is
-    searched in that directory and those above it, as a directory called NAME or one that has REST.
+    Relative names are relative to the URDF's directory. For `package://NAME/REST`, NAME/REST and
+    REST are searched in that directory and its parents.
     """
     from urllib.parse import unquote, urlparse
 
@@ -185,40 +187,40 @@ def find_mesh(robot: G1, name: str) -> Path | None:
 
 
 def missing_meshes(robot: G1) -> tuple[str, ...]:
-    """The meshes that the robot's URDF names and that do not exist, each once."""
+    """Names of the meshes in the robot's URDF that do not exist, each once."""
     return tuple(name for name in mesh_names(robot) if find_mesh(robot, name) is None)
 
 
 def has_meshes(robot: G1) -> bool:
-    """Whether the robot's URDF names meshes, and all of them exist."""
+    """Return whether the robot's URDF has meshes, and all of them exist."""
     return bool(mesh_names(robot)) and not missing_meshes(robot)
 
 
 def mesh_names(robot: G1) -> tuple[str, ...]:
-    """The meshes that the robot's URDF names, each once."""
+    """Names of the meshes in the robot's URDF, each once."""
     return tuple(dict.fromkeys(visual.mesh for visual in read_visuals(robot) if visual.mesh))
 
 
 class Mesh(NamedTuple):
-    """Triangles in the coordinates of their file: points (V, 3), and indices of corners (T, 3)."""
+    """A triangle mesh with points (V, 3) in the coordinates of its file, and triangles (T, 3)."""
 
     points: NDArray[np.float32]
     triangles: NDArray[np.int32]
 
     def scaled(self, scale: Sequence[float]) -> Mesh:
-        """The mesh scaled along its axes (3,); one that is mirrored has its outside outside."""
+        """The mesh scaled along its axes (3,); mirroring keeps the outside of the surface."""
         points = self.points * np.array(scale, np.float32)
         return Mesh(points, self.triangles[:, ::-1] if np.prod(scale) < 0.0 else self.triangles)
 
     def of_ghost(self) -> Mesh:
-        """The same of a ghost, each point moved inward; points are in m.
+        """The mesh for a ghost, with each point moved inward; points are in m.
 
-        A thin mesh is moved by less, so that its sides do not pass through each other.
+        A thin mesh is moved less, so that its sides do not intersect.
         """
         corners = self.points[self.triangles].astype(np.float64)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         if np.einsum("ij,ij->", normals, corners.mean(axis=1) - self.points.mean(axis=0)) < 0.0:
-            normals = -normals  # its faces look inward
+            normals = -normals  # the faces point inward
         inset = min(_GHOST_INSET, float(np.ptp(self.points, axis=0).min()) / 4)
         outward = np.zeros(self.points.shape)
         for corner in self.triangles.T:
@@ -229,17 +231,17 @@ class Mesh(NamedTuple):
 
 
 def real_g1() -> G1 | None:
-    """Unitree's URDF and its meshes, g1_29dof_rev_1_0; None without the extra `meshes`."""
+    """Unitree's g1_29dof_rev_1_0 with its meshes; None without the extra `meshes`."""
     path = Path(sysconfig.get_path("purelib"), _REAL_G1)
     return G1.load(path, own_limits=True) if path.is_file() else None
 
 
 def robot_with_meshes(robot: G1) -> G1:
-    """The robot itself where its URDF has meshes and all are found, else the real G1.
+    """The robot itself if its URDF has meshes and all are found, otherwise the real G1.
 
     Raises:
-        ConfigError: neither, as the extra `meshes` is not installed.
-        RobotError: neither, as the robot has other links than the real G1.
+        ConfigError: the real G1 is needed, but the extra `meshes` is not installed.
+        RobotError: the real G1 is needed, but the robot has other links.
     """
     if has_meshes(robot):
         return robot
@@ -249,16 +251,17 @@ def robot_with_meshes(robot: G1) -> G1:
     if set(real.link_names) != set(robot.link_names):
         raise RobotError(
             f"The G1's meshes do not fit {robot.source}, which has other links.",
-            "Leave out --meshes, or give a URDF whose own meshes are found.",
+            "Remove --meshes, or use a URDF whose own meshes are found.",
         )
     return real
 
 
 def with_shapes(robot: G1) -> G1:
-    """The robot whose shapes stand for a robot's: itself where its URDF's meshes are found.
+    """The robot whose shapes are shown for a robot.
 
-    Else the real G1 with meshes where they are installed, or instead of missing meshes the default
-    robot, if it has links of the same names.
+    It is the robot itself if all meshes of its URDF are found. Otherwise it is the real G1 if its
+    meshes are installed, or the default robot if meshes are missing; both only if the link names
+    are equal.
     """
     if has_meshes(robot):
         return robot
@@ -268,10 +271,10 @@ def with_shapes(robot: G1) -> G1:
 
 
 def read_stl(path: Path) -> Mesh:
-    """The triangles of a binary STL file; corners at the same place become one point.
+    """Read a binary STL file; equal corners become one point.
 
     Raises:
-        RobotError: it cannot be read, or is no binary STL.
+        RobotError: the file cannot be read, or is not a binary STL file.
     """
     try:
         data = read_file(path, MESHES)
@@ -283,12 +286,14 @@ def read_stl(path: Path) -> Mesh:
     if not count or len(data) != _STL_HEADER + count * _TRIANGLE.itemsize:
         raise RobotError(
             f"The mesh {path} is not a binary STL file with triangles.",
-            "Export it as binary STL, or leave out --meshes.",
+            "Export it as binary STL, or remove --meshes.",
         )
     corners = np.frombuffer(data, _TRIANGLE, offset=_STL_HEADER)["corners"].reshape(-1, 3)
     if not np.isfinite(corners).all():
-        raise RobotError(f"The mesh {path} has a corner that is no number.", "Export it again.")
-    # As bytes, which sort much faster than rows; + 0.0 makes -0.0 the same as 0.0.
+        raise RobotError(
+            f"The mesh {path} has a corner that is not a finite number.", "Export it again."
+        )
+    # As bytes, which sort much faster than rows; + 0.0 converts -0.0 to 0.0.
     rows = np.ascontiguousarray(corners + np.float32(0.0)).view("V12").ravel()
     points, index = np.unique(rows, return_inverse=True)
     triangles = index.reshape(-1, 3).astype(np.int32)
@@ -296,7 +301,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def decimate(mesh: Mesh) -> Mesh:
-    """The mesh with 2000 triangles or some more, by quadric edge collapse; a smaller one as it is.
+    """Reduce a mesh to about 2000 triangles by quadric edge collapse; a smaller one is unchanged.
 
     Raises:
         ConfigError: the extra `meshes` is not installed.

@@ -1,4 +1,4 @@
-"""The soles of a G1: four corners each, as in unitree_mujoco, whose feet stand on four spheres."""
+"""The soles of a G1, with four corners each, like the four spheres of unitree_mujoco's feet."""
 
 from __future__ import annotations
 
@@ -22,22 +22,24 @@ __all__ = ["OFF_FLOOR", "SIDES", "Soles", "bent_legs"]
 SIDES: Final = ("left", "right")
 
 OFF_FLOOR: Final = 0.002
-"""A sole that a reference has so much above the floor is lifted, m."""
+"""Height above the floor at which a sole counts as lifted in a reference, m."""
 
-#: Vertices of a sole this far above its lowest one belong to its lower side, m.
+#: Maximum height of vertices above the lowest one that belong to the lower side of a sole, m.
 _FLAT: Final = 1e-3
 
 
 class Soles:
-    """The corners of a robot's soles, left foot first: front left, front right, back right, left.
+    """The corners of a robot's soles, left foot first.
+
+    The corners of a sole are in the order front left, front right, back right, back left.
 
     Args:
         robot: the G1.
 
     Attributes:
-        links: (2,) the links of the feet.
-        corners: (2, 4, 3) m, in the frames of these links.
-        height: m, of these links where the soles stand level on the floor.
+        links: (2,) links of the feet.
+        corners: (2, 4, 3) corners in the frames of these links, m.
+        height: height of these links above the floor when the soles are flat on it, m.
 
     Raises:
         RobotError: a foot of this robot has no joint, or no hull.
@@ -47,7 +49,7 @@ class Soles:
         joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
         if not robot.present[joints].all():
             raise RobotError(
-                f"{robot.name!r} has no joints at its feet.", "Give a robot that moves its feet."
+                f"{robot.name!r} has no ankle joints.", "Use a robot with ankle joints."
             )
         self._robot = robot
         self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
@@ -55,13 +57,13 @@ class Soles:
         self.height = -float(self.corners[..., 2].min())
 
     def positions(self, poses: LinkPoses) -> Floats:
-        """The corners (T, 8, 3) in the world, m."""
+        """Corners (T, 8, 3) in the world, m, for link poses."""
         pos, quat = (values[:, self.links, np.newaxis] for values in poses)
         corners = pos + quat_rotate(quat, self.corners)
         return corners.reshape(len(corners), -1, 3)
 
     def path(self, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats) -> Floats:
-        """The corners (T, 8, 3) in the world, m, in T frames: (T, 29), (T, 3) and (T, 4)."""
+        """Corners (T, 8, 3) in the world, m, for frames (T, 29), (T, 3) and (T, 4)."""
         path = np.empty((len(joint_pos), 8, 3))
         pose = joint_pos, root_pos, root_quat_wxyz
         for part, poses in pose_blocks(self._robot, *pose, self.links):
@@ -70,9 +72,9 @@ class Soles:
 
 
 def bent_legs(angle: float) -> Floats:
-    """The pose (29,), rad, whose hips and ankles are bent by an angle, and whose knees by twice.
+    """A pose (29,), rad, with hips and ankles bent by `angle`, and knees by twice `angle`.
 
-    So the soles are level below an upright pelvis. All other joints are at 0.
+    The soles are level below an upright pelvis. All other joints are at 0.
     """
     pose = np.zeros(len(JOINT_NAMES))
     for joint, turns in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
@@ -86,8 +88,8 @@ def _corners(robot: G1, link: str) -> Floats:
     soles = [hull.vertices for hull in read_hulls(robot) if hull.solid and hull.link == link]
     if not soles:
         raise RobotError(
-            f"The shape of the sole of {robot.name!r}'s {link} is not known.",
-            "Give a URDF whose feet are called left_ankle_roll_link and right_ankle_roll_link.",
+            f"The shape of the sole of {robot.name!r}'s {link} is unknown.",
+            "Use a URDF whose feet are left_ankle_roll_link and right_ankle_roll_link.",
         )
     sole = np.concatenate(soles)
     lower = sole[sole[:, 2] < sole[:, 2].min() + _FLAT]

@@ -1,9 +1,10 @@
-"""Reads a URDF, or says why it is not that of a G1.
+"""Read the URDF of a G1, and check it.
 
-yourdfpy reads the elements; it checks little, so that the numbers are checked before, and after it
-what makes a G1: one tree of links, 29 motors by name, unit axes and limits. What it has read of the
-URDFs in this package is in robots.jsonl, by the SHA-256 of their text, as importing it takes 0.6 s.
-MuJoCo reads the same text in programs that simulate or compute torques, with its masses.
+yourdfpy parses the elements but checks little. Therefore the numbers are checked before, and the
+requirements of a G1 after it: one tree of links, 29 motors by name, unit axes and limits. Importing
+yourdfpy takes 0.6 s, so robots.jsonl has its results for the URDFs in this package, by the SHA-256
+of their text. MuJoCo reads the same text with its masses, in programs that simulate or compute
+torques.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ __all__ = [
 ]
 
 KEPT_ROBOTS: Final = 8
-"""What is made from a URDF is kept for so many: each session brings one, and a process may read
-many sessions."""
+"""Number of robots in caches of data derived from a URDF; each session has a URDF, and a process
+may read many sessions."""
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
-#: Of joints that a robot does not have: rad, rad/s and N·m that nothing passes.
+#: Limits of joints that a robot does not have, rad, rad/s and N·m; no value exceeds them.
 _NO_LIMITS: Final = (-1e3, 1e3, 1e3, 1e3)
-_AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
-#: How many numbers an attribute has.
+_AXIS_TOLERANCE: Final = 1e-3  # above the error of rounding to four digits
+#: Count of numbers in an attribute.
 _COUNTS: Final = {
     **dict.fromkeys(("xyz", "rpy", "size", "scale"), 3),
     **dict.fromkeys((*_LIMITS, "radius", "length"), 1),
@@ -61,15 +62,15 @@ _COUNTS: Final = {
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def parse_urdf(text: str, source: str) -> ET.Element:
-    """The root element of a URDF text; of the same text the same one, not to be changed.
+    """Parse a URDF; returns its cached root element, do not change it.
 
     Raises:
-        RobotError: it is not XML, or not a URDF.
+        RobotError: the text is not XML, or not a URDF.
     """
-    if "<!DOCTYPE" in text:  # nested entities fill the memory, external ones name other files
+    if "<!DOCTYPE" in text:  # nested entities fill the memory, external ones refer to files
         raise RobotError(
             f"{source} has a document type declaration (<!DOCTYPE).",
-            "Remove it: a URDF needs none, and the entities it may define are not supported.",
+            "Remove it; a URDF does not need it, and entities are not supported.",
         )
     try:
         root = ET.fromstring(text)
@@ -77,24 +78,24 @@ def parse_urdf(text: str, source: str) -> ET.Element:
         line, column = error.position
         raise RobotError(
             f"{source} is not XML: line {line}, column {column + 1}.",
-            "Give a URDF file; a xacro file must be converted first.",
+            "Use a URDF file; convert a xacro file first.",
         ) from error
     if root.tag != "robot":
         raise RobotError(
             f"{source} is not a URDF: its root element is <{root.tag}>, not <robot>.",
-            "Give a URDF file; MJCF, SDF and USD files are not supported.",
+            "Use a URDF file; MJCF, SDF and USD files are not supported.",
         )
     return root
 
 
 def without_world(text: str, source: str) -> str:
-    """A URDF without links above the pelvis that only place it, such as `world`.
+    """Remove links above the pelvis that only position it, such as `world`.
 
-    Such a link carries nothing, and a fixed or a floating joint below it is its only one. Where the
-    pelvis is, a motion says.
+    These links have no content, and only one joint below them, which is fixed or floating. The
+    position of the pelvis comes from the motion.
 
     Raises:
-        RobotError: it is not XML, or not a URDF.
+        RobotError: the text is not XML, or not a URDF.
     """
     if known_robot(text) is not None:
         return text
@@ -126,11 +127,11 @@ def _end(joint: ET.Element, tag: str) -> str:
 
 
 def with_prefixed_links(root: ET.Element, prefix: str) -> str:
-    """A URDF for viewers: links named as their frames, and no shapes but those to be looked at.
+    """Make a URDF for viewers, with links named like their frames, and without collision shapes.
 
     Args:
-        root: of a URDF; it is not changed.
-        prefix: put before the names of links, such as `measured/`.
+        root: root element of a URDF; it is not changed.
+        prefix: prefix of link names, such as `measured/`.
     """
     root = deepcopy(root)
     for link in root.findall("link"):
@@ -144,10 +145,10 @@ def with_prefixed_links(root: ET.Element, prefix: str) -> str:
 
 @lru_cache(maxsize=KEPT_ROBOTS)
 def known_robot(text: str) -> dict[str, Any] | None:
-    """What tools/make_robot_urdf.py has read of a URDF in this package; None of another one.
+    """The entry of robots.jsonl for a URDF in this package; None for another URDF.
 
-    It has the fields of `read_kinematics`, as JSON values, and under `visuals` those of each
-    `Visual`.
+    It has the fields of `read_kinematics` as JSON values, and the fields of each `Visual` under
+    `visuals`. tools/make_robot_urdf.py writes it.
     """
     lines = resources.files(__package__).joinpath("robots.jsonl").read_text(encoding="utf-8")
     start = f'{{"sha256":"{sha256(text.encode()).hexdigest()}"'
@@ -157,7 +158,7 @@ def known_robot(text: str) -> dict[str, Any] | None:
 
 
 def read_urdf(text: str, source: str) -> dict[str, Any]:
-    """The fields of `G1` from `name` on; see `read_kinematics`."""
+    """Read the fields of `G1` from `name` on, see `read_kinematics`."""
     known = known_robot(text)
     if known is None:
         return read_kinematics(parse_urdf(text, source), source)
@@ -172,14 +173,15 @@ def read_urdf(text: str, source: str) -> dict[str, Any]:
 
 
 def check_numbers(element: ET.Element, where: str) -> None:
-    """Check the numbers in the attributes of an element and of all below it.
+    """Check the numbers in the attributes of an element and its descendants.
 
     Args:
-        element: of a URDF.
-        where: it is, for the error.
+        element: an element of a URDF.
+        where: description of the element for the error.
 
     Raises:
-        RobotError: some are not as many numbers of a sane size as the attribute has.
+        RobotError: an attribute has a wrong count of numbers, or a number is not finite or too
+            large.
     """
     for part in element.iter():
         for key, text in part.items():
@@ -191,20 +193,20 @@ def check_numbers(element: ET.Element, where: str) -> None:
             if len(numbers) != count or not all(abs(number) <= NUMBER for number in numbers):
                 raise RobotError(
                     f"{where} has {key}={text!r:.80} in its <{part.tag}>.",
-                    f"Give {count} finite number{'s' * (count > 1)}, at most {NUMBER:g}.",
+                    f"Use {counted(count, 'finite number')} of at most {NUMBER:g}.",
                 )
 
 
 def parse_with_yourdfpy(elements: Iterable[ET.Element], name: str, source: str) -> Any:
-    """The `yourdfpy.Robot` of some elements of a URDF.
+    """Parse elements of a URDF into a `yourdfpy.Robot`.
 
     Args:
-        elements: links, joints and materials, whose numbers are checked.
-        name: of the robot.
+        elements: links, joints and materials, with checked numbers.
+        name: name of the robot.
         source: name of the URDF for errors.
 
     Raises:
-        RobotError: it cannot read them.
+        RobotError: yourdfpy cannot read the elements.
     """
     import yourdfpy
 
@@ -213,14 +215,14 @@ def parse_with_yourdfpy(elements: Iterable[ET.Element], name: str, source: str) 
     file = io.BytesIO(ET.tostring(root))
     try:
         return yourdfpy.URDF.load(file, build_scene_graph=False, load_meshes=False).robot
-    except Exception as error:  # what a missing attribute makes, or lxml
+    except Exception as error:  # a missing attribute or lxml raises errors of many types
         raise RobotError(
             f"{source} cannot be read as a URDF: {error!r:.100}.", "Correct the URDF."
         ) from error
 
 
 def poses_of(origins: Iterable[Any]) -> tuple[Floats, Floats]:
-    """Positions (N, 3) and quaternions wxyz (N, 4), w not negative, of yourdfpy's origins."""
+    """Positions (N, 3) and quaternions wxyz (N, 4) with w >= 0, of yourdfpy's origins."""
     from scipy.spatial.transform import Rotation
 
     matrices = np.array([np.eye(4) if one is None else one for one in origins]).reshape(-1, 4, 4)
@@ -231,10 +233,10 @@ def poses_of(origins: Iterable[Any]) -> tuple[Floats, Floats]:
 
 
 def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
-    """Links, joints and limits: the fields of `G1` from `name` on.
+    """Read links, joints and limits as the fields of `G1` from `name` on.
 
     Args:
-        root: of a URDF; shapes and masses in it are not read.
+        root: root element of a URDF; its shapes and masses are not read.
         source: name of the URDF for errors.
 
     Raises:
@@ -281,12 +283,12 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
 
 
 def _skeleton(root: ET.Element, source: str) -> list[ET.Element]:
-    """The links without their content, and the joints with what is read of them."""
+    """The links without their content, and the joints with only the needed elements."""
     links, joints = root.findall("link"), root.findall("joint")
     if max(len(links), len(joints)) > URDF_LINKS:
         raise RobotError(
             f"{source} has {counted(len(links), 'link')} and {counted(len(joints), 'joint')}.",
-            f"Give the URDF of one robot, with {URDF_LINKS} of each at most.",
+            f"Use the URDF of one robot, with at most {URDF_LINKS} of each.",
         )
     elements = [ET.Element("link", name=link.get("name", "")) for link in links]
     for joint in joints:
@@ -302,11 +304,11 @@ def _skeleton(root: ET.Element, source: str) -> list[ET.Element]:
 
 
 def _joint_set(joints: Mapping[str, Any], source: str) -> JointSet:
-    """The kind of G1 that has the joints that turn; all others stay where they are at zero."""
+    """The kind of G1 with these revolute joints; other moving joints stay at zero."""
     kinds = {name: joint.type for name, joint in joints.items()}
     for name, kind in kinds.items():
         if kind in ("floating", "planar") or (name in JOINT_NAMES and kind == "continuous"):
-            remedy = "Remove it and the link above it: the root link moves freely without it."
+            remedy = "Remove it and the link above it; the root link moves freely without it."
             raise RobotError(
                 f"{source}: the joint {name!r} is {kind}.",
                 "Make it revolute, with limits." if kind == "continuous" else remedy,
@@ -327,7 +329,7 @@ def _joint_set(joints: Mapping[str, Any], source: str) -> JointSet:
 def _sort_links(
     links: list[str], joints: list[Any], source: str
 ) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """The links, depth first in the file's order, and the joint above each but the root."""
+    """The links, depth first in the file's order, and the joint above each link except the root."""
     joint_above = {joint.child: joint for joint in joints}
     ordered: list[str] = []
     waiting = [link for link in links if link not in joint_above][:1]
@@ -339,8 +341,9 @@ def _sort_links(
     wrong = [one for one in sorted(named) if not ordered.count(one) == links.count(one) == 1]
     if wrong:
         raise RobotError(
-            f"{source}: these links are not in one tree, once each: {', '.join(map(repr, wrong))}.",
-            "Connect all links to one root link, each by one joint to its parent.",
+            f"{source}: these links are not exactly once in one tree: "
+            f"{', '.join(map(repr, wrong))}.",
+            "Connect all links to one root link, each with one joint to its parent.",
         )
     return tuple(ordered), joint_above
 
@@ -362,13 +365,13 @@ def _limits(joint: Any, source: str) -> list[float]:
     if missing := [key for key, value in limits.items() if value is None]:
         raise RobotError(
             f"{where} has no limit {', '.join(missing)}.",
-            f"Give it a <limit> with {', '.join(_LIMITS)}.",
+            f"Add a <limit> with {', '.join(_LIMITS)}.",
         )
     lower, upper, velocity, effort = values = list(limits.values())
     if lower >= upper or velocity <= 0 or effort <= 0:
         raise RobotError(
             f"{where} cannot move: lower {lower}, upper {upper}, velocity {velocity}, "
             f"effort {effort}.",
-            "Make lower less than upper, velocity and effort positive.",
+            "Make lower less than upper, and velocity and effort positive.",
         )
     return values

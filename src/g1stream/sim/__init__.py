@@ -1,1 +1,1 @@
-"""The MuJoCo bridge: a simulated G1 on the topics of the real one."""
+"""The MuJoCo bridge: a simulated G1 on the DDS topics of the robot."""

@@ -1,4 +1,4 @@
-"""Puts a simulated robot on the DDS topics of the real one, in step with the wall clock."""
+"""Bridge between a simulated robot and the DDS topics of the real one, in real time."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _VIEW_PERIOD: Final = 20_000_000  # ns
 
 
 class Bridge:
-    """A simulated G1 on DDS.
+    """Runs a simulated G1 on DDS.
 
     Args:
-        participant: of the domain to be in.
+        participant: a participant in the domain.
         robot: the simulated robot.
-        support: how it is held; announced to the streamer.
-        clock: now, stamp and sleep_until.
-        model: name of the robot that is simulated; announced, too, unless empty.
-        onboard: the mode of its motion service that is active from the start.
-        view: shows the world, called some 50 times a second; False ends the run.
+        support: how the robot is held, which is announced to streams.
+        clock: provides now, stamp and sleep_until.
+        model: name of the simulated robot, which is also announced; "": not announced.
+        onboard: mode of its motion service that is active at the start.
+        view: shows the world, called about 50 times a second; returning False ends the run.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class Bridge:
         self._motion_service = MotionService(participant, onboard)
 
     def run(self, should_stop: Callable[[], bool]) -> SimReport:
-        """Simulate until told to stop.
+        """Simulate until `should_stop` returns True.
 
         Args:
-            should_stop: asked at every LowState.
+            should_stop: called at every LowState.
 
         Raises:
             SimError: the state can no longer be integrated.
@@ -73,7 +73,7 @@ class Bridge:
         while not should_stop():
             self._clock.sleep_until(due)
             now = self._clock.now()
-            # The state is of this very instant: what is simulated next lies in the future.
+            # Publish first, because the state is that of this instant.
             self._publish()
             self._receive(now)
             robot.step(now)
@@ -82,18 +82,18 @@ class Bridge:
                 if not self._view():
                     break
             due += robot.period
-            # A little is caught up at once, so that simulated time is wall time; more would
-            # freeze the robot's answers for as long as it takes to catch up.
+            # A short delay is caught up at once, so that simulated time equals wall time. Catching
+            # up a longer one would block the robot's messages meanwhile.
             if (late := now - due) > _CATCH_UP:
                 due = now
                 robot.report.behind += late / 1e9
-                robot.log(logging.WARNING, "the simulation cannot keep up with the wall clock", now)
+                robot.log(logging.WARNING, "the simulation is slower than real time", now)
         robot.report.elapsed = (self._clock.now() - start) / 1e9
         return robot.report
 
     def _publish(self) -> None:
         published = self._robot.publish()
-        stamp = self._clock.stamp()  # one for all that was measured at one instant
+        stamp = self._clock.stamp()  # the same for all measurements of one instant
         self._low_state.write(published.low_state, stamp)
         self._sport_mode_state.write(published.sport_mode_state, stamp)
         self._secondary_imu.write(published.secondary_imu, stamp)

@@ -1,6 +1,6 @@
-"""A simulated robot in lockstep with the loop that commands it: no DDS and no wall clock.
+"""A simulated robot in lockstep with the loop that commands it, without DDS and wall clock.
 
-A run gives the same bytes every time, as fast as the computer can.
+A run is deterministic to the byte, and as fast as the computer allows.
 """
 
 from __future__ import annotations
@@ -19,22 +19,21 @@ if TYPE_CHECKING:
 __all__ = ["EPOCH", "Lockstep"]
 
 EPOCH: Final = 946_684_800_000_000_000
-"""The publish time at simulated time 0, ns: 2000-01-01 00:00 UTC, so that it is not taken for a
-real one."""
+"""Publish time at simulated time 0, ns: 2000-01-01 00:00 UTC, so that it cannot be a real time."""
 
-_LAG: Final = 1_000_000  # ns from a command to the robot's tick that uses it
+_LAG: Final = 1_000_000  # time from a command to the robot's tick that uses it, ns
 
 
 class Lockstep:
-    """Clock and link of a loop at once: while the loop sleeps, the simulated robot advances.
+    """Clock and link of a loop in one object; the simulated robot advances while the loop sleeps.
 
-    The robot works as on DDS, at the same period. Its ticks are 1 ms after those of the loop.
+    The robot works as on DDS, with the same period. Its ticks are 1 ms after those of the loop.
 
     Args:
         robot: the simulated robot.
-        support: how it is held, as it announces to the loop; None: it does not announce it.
-        on_sample: called with every sample that is published by either side: its topic, its bytes
-            and its publish time, ns.
+        support: the support that the robot announces to the loop; None: not announced.
+        on_sample: called with every published sample of both sides: its topic, bytes and publish
+            time, ns.
     """
 
     def __init__(
@@ -87,7 +86,7 @@ class Lockstep:
         return self._support
 
     def model(self) -> str | None:
-        return None  # the loop finds out
+        return None  # the loop detects it
 
     def receive(self, state: LowState) -> int | None:
         data, self._low_state = self._low_state, b""

@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 __all__ = ["BASE_BODY", "BASE_TARGET", "add_floor_and_light", "build_model", "torso_link"]
 
 BASE_BODY: Final = 1
-"""The body of the URDF's root link: the world is body 0, and the root comes next."""
+"""Body of the URDF's root link; the world is body 0."""
 
 BASE_TARGET: Final = "base_target"
-"""The mocap body that a base is welded to, and the weld between the two."""
+"""Name of the mocap body that a base is welded to, and of the weld."""
 
-_FLOOR: Final = 1  # the contact bit of the floor and of what collides with it
-_LINKS: Final = 2  # the contact bit of the hulls, which collide with each other
+_FLOOR: Final = 1  # contact bit of the floor and of shapes that collide with it
+_LINKS: Final = 2  # contact bit of the hulls, which collide with each other
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer hides by default
 
 
 def torso_link(robot: G1) -> str:
-    """The link above the waist; that of the name torso_link where the waist does not pitch."""
+    """Name of the link above the waist; torso_link if the waist has no pitch joint."""
     moved = robot.joint_of_link == JOINT_NAMES.index("waist_pitch_joint")
     return robot.link_names[int(moved.argmax())] if moved.any() else "torso_link"
 
@@ -38,23 +38,23 @@ def build_model(
 ) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
-    Motors are servos in motor order, of the joints that the robot has: with control c and
-    `actuator_biasprm` (0, -kp, -kd) a motor's force is c - kp q - kd dq, clipped at
+    Motors are servos in motor order, for the joints that the robot has. With control c and
+    `actuator_biasprm` (0, -kp, -kd), the torque of a motor is c - kp q - kd dq, clipped at
     `g1stream.robot.joints.TORQUE_LIMIT`. Sensors have unitree_mujoco's names: `imu_quat`,
-    `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the same with `secondary_` in front at its
-    `imu_in_torso` (at the base and the torso where it has no such frames), `frame_pos` and
+    `imu_gyro` and `imu_acc` at the URDF's `imu_in_pelvis`, the same with the prefix `secondary_` at
+    its `imu_in_torso` (at the base and the torso without these frames), and `frame_pos` and
     `frame_vel` of the base.
 
-    Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's primitive
-    shapes collide with the floor. With each other links collide as in unitree_mujoco: as the convex
-    hulls of their meshes, of the feet the soles and of the hands nothing, with MuJoCo's default
-    contact parameters.
+    Meshes and finger joints are left out; fingers stay at zero. The robot's primitive shapes
+    collide with the floor. Links collide with each other as in unitree_mujoco, as the convex hulls
+    of their meshes with MuJoCo's default contact parameters. Feet collide with their soles only,
+    and hands do not collide.
 
     Args:
-        robot: whose URDF and parameters to use.
+        robot: the robot with URDF and parameters.
         floating: give the base a free joint; otherwise it is fixed to the world.
         driven: weld the base to a mocap body `base_target`, by an equality of that name.
-        timestep: s.
+        timestep: simulation timestep, s.
         self_collision: let links collide with each other.
 
     Raises:
@@ -65,7 +65,7 @@ def build_model(
     try:
         spec = mujoco_spec(robot, floating=floating, shapes=True)
         spec.option.timestep = timestep
-        # Damping, the servos' included, is taken implicitly: any kd is stable at any timestep.
+        # Damping is integrated implicitly, including that of the servos, so any kd is stable.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         _set_contacts(spec)
         if self_collision:
@@ -89,7 +89,7 @@ def build_model(
 
 
 def _set_contacts(spec: Any) -> None:
-    """Let solid shapes collide with the floor only, and hide them where there are visual ones."""
+    """Let solid shapes collide with the floor only, and hide them if there are visual shapes."""
     solid = [geom for geom in spec.geoms if geom.contype]
     for geom in solid:
         geom.contype, geom.conaffinity = 0, _FLOOR
@@ -98,7 +98,7 @@ def _set_contacts(spec: Any) -> None:
 
 
 def add_floor_and_light(spec: Any) -> None:
-    """A floor and a light."""
+    """Add a floor and a light."""
     import mujoco
 
     spec.add_texture(
@@ -125,7 +125,7 @@ def add_floor_and_light(spec: Any) -> None:
 
 
 def _add_base_target(spec: Any, timestep: float) -> None:
-    """A body at the pose that the base shall have, and a weld as stiff as the timestep allows."""
+    """Add a body at the target pose of the base, and a weld as stiff as the timestep allows."""
     import mujoco
 
     spec.worldbody.add_body(name=BASE_TARGET, mocap=True)

@@ -1,9 +1,10 @@
-"""The robot's motion service and onboard controller, for the bridge.
+"""The motion service and onboard controller of the simulated robot, for the bridge.
 
-A real robot walks and stands by a controller of its own, which publishes LowCmd until the motion
-service releases it. Here the controller holds the pose in which it was started, and stands because
-the base is scripted: where the support follows a reference, it sways as a standing robot does. Into
-its command for arms and waist it blends what it receives on rt/arm_sdk, by the weight in it.
+A real robot walks and stands with its own controller, which publishes LowCmd until the motion
+service releases it. Here the controller holds the pose in which it was started. It does not fall,
+because the base is scripted; if the support follows a reference, the base sways like a standing
+robot. The controller blends commands from rt/arm_sdk into its own for arms and waist, with the
+weight in them.
 """
 
 from __future__ import annotations
@@ -30,27 +31,27 @@ __all__ = ["MotionService"]
 _LOGGER = logging.getLogger(__name__)
 
 _FORM: Final = "0"  # without wheels
-#: Where the base stands, m, and how it sways to both sides: by how much, m, and how often, Hz.
+#: Height of the base, m, and amplitude, m, and frequency, Hz, of its sway to both sides.
 _HEIGHT: Final = 0.79
 _SWAY: Final = 0.005
 _SWAYS: Final = 0.4
-#: Its kp and kd, times those of Unitree's example, with which the waist would sag by 14 degrees.
+#: Factors of kp and kd over Unitree's example, with whose gains the waist would sag by 14 degrees.
 _STIFFER: Final = (5.0, 2.0)
-#: Below this weight nobody moves the arms; the example of Unitree's SDK ends with 0.007.
+#: Weight up to which the arms count as handed back; the example of Unitree's SDK ends with 0.007.
 _LEAST: Final = 0.01
-#: What rt/arm_sdk moves.
+#: (29,) the joints that rt/arm_sdk moves.
 _ARMS: Final = select_joints("arms,waist")
 
 
 class MotionService:
     """Serves MotionSwitcher; while a mode is active, publishes LowCmds that hold the pose.
 
-    While a mode is active it subscribes to rt/arm_sdk, too. As on the robot, a weight that it was
-    sent stays until another comes.
+    While a mode is active, it also subscribes to rt/arm_sdk. As on the robot, a received weight
+    stays in force until the next one.
 
     Args:
-        participant: of the bridge.
-        mode: active from the start; None: none is.
+        participant: the participant of the bridge.
+        mode: mode that is active at the start; None: no mode.
     """
 
     def __init__(self, participant: Participant, mode: OnboardMode | None = None) -> None:
@@ -66,7 +67,7 @@ class MotionService:
             self._select(mode)
 
     def step(self, low_state: bytes, stamp: int) -> None:
-        """Answer what was called, and publish the command of the active mode.
+        """Answer calls, and publish the command of the active mode.
 
         Args:
             low_state: the LowState that the robot has just published.
@@ -82,7 +83,7 @@ class MotionService:
             self._writer.write(_blended(self._command, self._asked), stamp)
 
     def stance(self, now: int) -> Root | None:
-        """The base pose at `now`, ns, of a robot that stands by itself; None without a mode."""
+        """Base pose at `now`, ns, of a robot that its controller balances; None without a mode."""
         if not self._writer:
             return None
         self._started = now if self._started is None else self._started
@@ -96,7 +97,7 @@ class MotionService:
         )
 
     def _take_arms(self) -> None:
-        """The newest command on rt/arm_sdk that is sound; its mode_machine is not looked at."""
+        """Take the newest valid command on rt/arm_sdk; its mode_machine is not checked."""
         sample = self._arms.take_latest() if self._arms else None
         if sample is None:
             return
@@ -150,7 +151,7 @@ class MotionService:
 
 
 def _name_in(parameter: str) -> Any:
-    """The name that SelectMode is given; None where there is none."""
+    """The name in the parameter of SelectMode; None without a name."""
     try:
         return json.loads(parameter).get("name")
     except (ValueError, AttributeError, RecursionError):
@@ -158,7 +159,7 @@ def _name_in(parameter: str) -> Any:
 
 
 def _hold(low_state: bytes) -> LowCmd:
-    """A LowCmd that holds the pose of a LowState."""
+    """Make a LowCmd that holds the pose of a LowState."""
     state, command = LowState(), LowCmd()
     state.load(low_state)
     command.motor_mode = 1
@@ -169,7 +170,7 @@ def _hold(low_state: bytes) -> LowCmd:
 
 
 def _blended(own: LowCmd, asked: LowCmd) -> bytes:
-    """The own command, with those for arms and waist moved towards the asked ones by the weight."""
+    """Blend the command `asked` for arms and waist into the controller's own, by its weight."""
     command, weight = LowCmd(), float(np.clip(asked.weight, 0.0, 1.0))
     command.load(own.tobytes())
     for name in ("q", "dq", "tau", "kp", "kd"):

@@ -1,4 +1,4 @@
-"""A simulated robot that exchanges the real one's messages; no DDS and no clock of its own."""
+"""A simulated robot with the messages of the real one, without DDS and clock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["MODE_MACHINE_29", "Published", "SensorNoise", "SimReport", "Simulate
 _LOGGER = logging.getLogger(__name__)
 
 MODE_MACHINE_29: Final = 5
-"""The mode_machine of a G1 with 29 joints, in its LowState and in every LowCmd for it."""
+"""mode_machine of a G1 with 29 joints, in its LowState and in every LowCmd for it."""
 
 _TIMEOUT_KD: Final = 3.0  # N·m·s/rad
 _LOG_PERIOD: Final = 1_000_000_000  # ns
@@ -38,15 +38,15 @@ _LOG_PERIOD: Final = 1_000_000_000  # ns
 
 @dataclass
 class SimReport:
-    """What a simulated robot counted.
+    """Counters of a simulated robot.
 
     Attributes:
-        states: LowStates published.
-        commands: LowCmds accepted, of those that were the newest at a tick.
-        refused: reason -> LowCmds refused for it.
-        timeouts: how often LowCmds stopped coming.
-        simulated, elapsed: s of simulated and of wall time.
-        behind: s of wall time that the simulation skipped, because it could not keep up.
+        states: number of published LowStates.
+        commands: number of accepted LowCmds, counting only the newest one at each tick.
+        refused: reason -> number of LowCmds refused for it.
+        timeouts: number of LowCmd timeouts.
+        simulated, elapsed: simulated and wall time, s.
+        behind: wall time that the simulation skipped because it was too slow, s.
     """
 
     states: int = 0
@@ -59,7 +59,7 @@ class SimReport:
 
 
 class Published(NamedTuple):
-    """What the robot publishes at one instant, CDR header included."""
+    """The samples that the robot publishes at one instant, including the CDR header."""
 
     low_state: bytes
     sport_mode_state: bytes
@@ -67,22 +67,22 @@ class Published(NamedTuple):
 
 
 class SimulatedRobot:
-    """A simulated G1 behind its messages.
+    """A simulated G1 with the message interface of the robot.
 
-    It accepts a LowCmd as strictly as the robot does: the CRC must be right, `mode_machine` must be
-    its own, ankles and waist must be commanded as pitch and roll, values must be finite, and only
-    motors that are enabled move. Without a LowCmd for `command_timeout` its motors only damp.
+    It checks a LowCmd as strictly as the robot. The CRC must be right, `mode_machine` must be its
+    own, ankles and waist must be commanded as pitch and roll, and values must be finite. Only
+    enabled motors move. Without a LowCmd for `command_timeout`, its motors only damp.
 
     Args:
-        world: its physics.
-        config: rate of LowState, command delay (beside that of the world) and timeout, noise.
-        mode_machine: of the kind of G1 that the world simulates.
-        noise: may change a LowState before it is published; `SensorNoise` with `config.noise` and
-            `config.seed` if None.
+        world: the physics.
+        config: rate of LowState, command delay (added to that of the world) and timeout, noise.
+        mode_machine: mode_machine of the simulated kind of G1.
+        noise: may change a LowState before it is published; None: `SensorNoise` with
+            `config.noise` and `config.seed`.
 
     Attributes:
-        period: ns between two LowStates.
-        report: what it counted.
+        period: time between two LowStates, ns.
+        report: the counters.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class SimulatedRobot:
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
         self._delay = round((config.command_delay + world.command_delay) * 1e9)
-        self._arriving: deque[tuple[int, bytes]] = deque()  # with when they take effect, ns
+        self._arriving: deque[tuple[int, bytes]] = deque()  # commands with their times, ns
         self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
         self._sport_mode_state, self._secondary_imu = SportModeState(), SecondaryImu()
         self._motors = MotorCommand.off()
@@ -109,7 +109,7 @@ class SimulatedRobot:
         self._logged_at: dict[str, int] = {}
 
     def publish(self) -> Published:
-        """The samples of what is measured now."""
+        """Make the samples of the current measurements."""
         state, message = self._world.state(), self._low_state
         message.tick[()] = round(state.time * 1000)
         message.mode_machine[()] = self._mode_machine
@@ -127,11 +127,11 @@ class SimulatedRobot:
         return Published(message.seal(), sport.tobytes(), self._secondary_imu.tobytes())
 
     def receive_command(self, data: bytes, now: int) -> None:
-        """Take a LowCmd that was received at `now`, ns."""
+        """Receive a LowCmd at `now`, ns; it takes effect after the command delay."""
         self._arriving.append((now + self._delay, data))
 
     def receive_reference(self, data: bytes) -> None:
-        """Take a Reference; values that are not finite end the simulation."""
+        """Receive a Reference; values that are not finite end the simulation."""
         reference = self._reference
         reference.load(data)
         self._world.set_reference(
@@ -145,7 +145,7 @@ class SimulatedRobot:
         )
 
     def set_base(self, root: Root) -> None:
-        """Give the support the base pose that a controller of the robot's own wants."""
+        """Pass the base pose of the robot's own controller to the support."""
         self._world.set_reference(root)
 
     def step(self, now: int) -> None:
@@ -159,7 +159,7 @@ class SimulatedRobot:
         if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
             self._accepted_at = None
             self.report.timeouts += 1
-            # A stream ends in DAMP, without stiffness; that it stops then is no fault.
+            # A stream ends in DAMP, without stiffness, so a timeout after that is not a fault.
             level = logging.WARNING if self._motors.kp.any() else logging.INFO
             self._motors = MotorCommand.off()._replace(
                 enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
@@ -220,9 +220,8 @@ def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:
     message.rpy[:] = quat_to_rpy(imu.quat_wxyz)
 
 
-#: Standard deviations of joint positions, rad, and speeds, rad/s; of the gyroscope, rad/s, and the
-#: accelerometer, m/s²; of the attitude about each axis, rad. They are assumed, not those of a robot
-#: that was measured.
+#: Assumed standard deviations of joint positions, rad, joint speeds, rad/s, gyroscope, rad/s,
+#: accelerometer, m/s², and attitude about each axis, rad; not measured on a robot.
 _POSITION: Final = 5e-4
 _SPEED: Final = 0.05
 _GYROSCOPE: Final = 0.01
@@ -231,11 +230,11 @@ _ATTITUDE: Final = 1e-3
 
 
 class SensorNoise:
-    """Adds white noise to what a LowState measures: joint positions and speeds, and the IMU.
+    """Adds white noise to the joint positions, joint speeds and IMU of a LowState.
 
     Args:
-        scale: the setting `sim.noise`, which has the standard deviations; 0: none.
-        seed: of the random numbers; the same seed gives the same noise.
+        scale: factor of the standard deviations, see the setting `sim.noise`; 0: no noise.
+        seed: seed of the random numbers; the same seed gives the same noise.
     """
 
     def __init__(self, scale: float = 1.0, seed: int = 0) -> None:

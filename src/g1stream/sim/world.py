@@ -1,7 +1,7 @@
-"""A simulated G1: motor commands in, measured state out, one physics step at a time.
+"""Physics of a simulated G1: takes motor commands, and returns the measured state after each step.
 
-Time is simulated, without clocks or DDS, and pushes are those of their seed: the same commands give
-the same states, bit for bit.
+Time is simulated, without clocks or DDS, and pushes depend on their seed only. The same commands
+give the same states, bit for bit.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = [
 
 
 PUSH_PERIOD: Final = 5.0
-"""From when the base is let go to the first push, and between two pushes, s of simulated time."""
+"""Simulated time from the release of the base to the first push, and between two pushes, s."""
 
 
 class MotorCommand(NamedTuple):
@@ -65,11 +65,11 @@ class MotorCommand(NamedTuple):
 
 
 class Imu(NamedTuple):
-    """What an IMU measures."""
+    """A reading of an IMU."""
 
     quat_wxyz: NDArray[np.float64]  # (4,) attitude in the world
     gyroscope: NDArray[np.float64]  # (3,) rad/s, in the IMU's frame
-    # (3,) m/s², in the IMU's frame, gravity included: upward 9.81 at rest.
+    # (3,) m/s², in the IMU's frame, including gravity (9.81 upward at rest).
     accelerometer: NDArray[np.float64]
 
     def copy(self) -> Imu:
@@ -77,45 +77,45 @@ class Imu(NamedTuple):
 
 
 class WorldState(NamedTuple):
-    """What is measured after a physics step, joints in motor order; the arrays are copies.
+    """Measurements after a physics step, joints in motor order; the arrays are copies.
 
-    Positions, velocities and attitudes are those at `time`; accelerations of joints and torques are
-    means over the last `World.step`, what the accelerometers measure is of its last timestep.
+    Positions, velocities and attitudes are those at `time`. Joint accelerations and torques are
+    means over the last `World.step`. Accelerometer readings are those of its last timestep.
     """
 
     time: float  # s of simulated time
     q: NDArray[np.float64]  # (29,) rad
     dq: NDArray[np.float64]  # (29,) rad/s
     ddq: NDArray[np.float64]  # (29,) rad/s²
-    # (29,) N·m that the motors applied, limits included: what changed the joints' velocities.
+    # (29,) applied motor torque after limits, N·m.
     tau_est: NDArray[np.float64]
     imu: Imu  # in the pelvis
     torso_imu: Imu
-    base_pos: NDArray[np.float64]  # (3,) m, the base's origin in the world
-    base_lin_vel: NDArray[np.float64]  # (3,) m/s, of that origin, in the world
+    base_pos: NDArray[np.float64]  # (3,) position of the base's origin in the world, m
+    base_lin_vel: NDArray[np.float64]  # (3,) velocity of that origin in the world, m/s
 
 
 class World:
-    """A G1 above a floor, its base held by a support, its motors driven by commands.
+    """A G1 above a floor, whose base is held by a support and whose motors follow commands.
 
     Args:
         robot: the G1.
-        support: what holds its base.
-        joint_pos: (29,) rad, motor order, where the joints start; all zero by default.
-        base_height: m, where the base starts; by default as the support prefers.
+        support: support of the base.
+        joint_pos: (29,) initial joint positions, rad, motor order; None: all zero.
+        base_height: initial height of the base, m; None: default of the support.
         self_collision: links collide with each other, see `g1stream.sim.model.build_model`.
-        timestep: s. With 1 ms, half the period of LowState at 500 Hz, a dance differs by 0.3 mrad
-            RMS from that with a step twenty times finer.
-        push: greatest speed that is added to the base along x and along y at a push, m/s; 0: none.
-            Each of the two is uniformly distributed between this and its negative.
-        seed: of the pushes.
+        timestep: simulation timestep, s. With 1 ms, half the period of LowState at 500 Hz, a dance
+            differs by 0.3 mrad RMS from the result with a timestep of 0.05 ms.
+        push: maximum speed that a push adds to the base along x and along y, m/s; 0: no pushes.
+            Both are uniformly distributed between this and its negative.
+        seed: seed of the pushes.
 
     Attributes:
         model: the `mujoco.MjModel`.
         data: its `mujoco.MjData`, for a viewer.
-        timestep: s.
-        present: (29,) which joints the robot has; the state of the others is 0.
-        command_delay: s, of the robot's parameters; for whoever passes commands on.
+        timestep: simulation timestep, s.
+        present: (29,) the joints that the robot has; the state of the others is 0.
+        command_delay: command delay in the robot's parameters, s; the caller applies it.
 
     Raises:
         SimError: the robot cannot be simulated.
@@ -147,7 +147,7 @@ class World:
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
         self._push, self._rng = push, np.random.default_rng(seed)
-        self._loose = 0  # timesteps since the base was let go
+        self._loose = 0  # timesteps since the base was released
         self._support.place(self._support.height if base_height is None else base_height)
         self.present = robot.present
         self.command_delay = robot.parameters.command_delay
@@ -176,7 +176,7 @@ class World:
         )
         site = self.model.sensor(f"{name}_acc").objid[0]
         if not self.model.body_weldid[self.model.site_bodyid[site]]:
-            # Fixed to the world, where MuJoCo 3.17 measures no gravity.
+            # MuJoCo 3.17 measures no gravity at a body that is fixed to the world.
             acc = quat_rotate_inverse(quat, -self.model.opt.gravity)
         return Imu(quat, gyro, acc)
 
@@ -184,15 +184,15 @@ class World:
         """Advance by timesteps; torques are clipped at `g1stream.robot.joints.TORQUE_LIMIT`.
 
         Args:
-            command: to the motors, in all of them.
-            steps: how many.
+            command: command to the motors in all timesteps.
+            steps: number of timesteps.
 
         Raises:
             SimError: the command is not finite, or the state can no longer be integrated.
         """
         before = self.data.time
         self._set_motors(command)
-        # Damping is taken implicitly: with the velocity at the end of a timestep.
+        # Damping is implicit, so it uses the velocity at the end of a timestep.
         kd, velocity = self._kd[self._motors], self.data.actuator_velocity
         force, applied = self.data.actuator_force, self._applied
         applied[:] = 0.0
@@ -202,7 +202,7 @@ class World:
             self._support.hold()
             if self._push:
                 self._push_when_due()
-            # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
+            # mj_step2 before mj_step1, so that the sensors show the state at the end of the step.
             self._integrate()
             self._look()
             applied += force
@@ -213,26 +213,26 @@ class World:
             raise SimError(
                 f"The simulation was reset at {before:.3f} s: its state became too large to "
                 "integrate, or the viewer reset it.",
-                "Check the masses in the URDF, and gains far above Unitree's.",
+                "Check the masses in the URDF, and whether gains are far above Unitree's.",
             )
 
     def _push_when_due(self) -> None:
-        """Add a velocity to a base that nothing holds, as policies are pushed in training."""
+        """Push a base that nothing holds, as in the training of policies."""
         self._loose = self._loose + 1 if self._support.loose else 0
         if self._loose and self._loose % round(PUSH_PERIOD / self.timestep) == 0:
             self._support.push(self._rng.uniform(-self._push, self._push, 2))
 
     def set_reference(self, root: Root) -> None:
-        """Give the support the base pose of the reference."""
+        """Pass the base pose of the reference to the support."""
         self._support.set_reference(root)
 
     def set_state(self, joint_pos: ArrayLike, joint_vel: ArrayLike, root: Root) -> None:
-        """Put the robot into a state at once, as one that was measured.
+        """Set the state of the robot, for example to a measured one.
 
         Args:
             joint_pos: (29,) rad, motor order.
             joint_vel: (29,) rad/s.
-            root: of the base; a bolted one only gets the attitude, a free one is let go.
+            root: state of the base; a bolted base only takes the attitude, a free one is released.
         """
         import mujoco
 
@@ -254,7 +254,7 @@ class World:
         control += work
         if not isfinite(control.sum()):
             joint = JOINT_NAMES[int(np.flatnonzero(~np.isfinite(control))[0])]
-            raise SimError(f"The command to {joint} is not finite.", "Publish finite numbers only.")
+            raise SimError(f"The command to {joint} is not finite.", "Publish only finite numbers.")
         bias, motors = self.model.actuator_biasprm, self._motors
         self.data.ctrl[:] = control[motors]
         bias[:, 1] = -kp[motors]
@@ -267,7 +267,7 @@ class World:
         return found
 
     def state(self) -> WorldState:
-        """What is measured now."""
+        """The current measurements."""
         data = self.data
         return WorldState(
             time=data.time,
@@ -289,48 +289,48 @@ class Root(NamedTuple):
     quat_wxyz: NDArray[np.float64]  # (4,) base to world
     lin_vel: NDArray[np.float64]  # (3,) m/s, world
     ang_vel: NDArray[np.float64]  # (3,) rad/s, base frame
-    playing: bool  # the motion is being played; False before that
+    playing: bool  # whether the motion is being played; False before it
 
 
 class BaseSupport:
-    """One way to hold the base, made for a compiled model and its data."""
+    """Base class of supports of the base, for a compiled model and its data."""
 
-    floating: ClassVar = True  # the base needs a free joint
-    driven: ClassVar = False  # the base is welded to a mocap body
-    # Where the base starts by default, m: a stretched leg and its foot reach 0.8 m down.
+    floating: ClassVar = True  # whether the base needs a free joint
+    driven: ClassVar = False  # whether the base is welded to a mocap body
+    # Default initial height of the base, m; a straight leg with its foot is 0.8 m long.
     height = 1.0
 
     def __init__(self, model: Any, data: Any) -> None:
         self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
 
     def place(self, height: float) -> None:
-        """Put the base, upright and at rest, at x = y = 0 and this height, m."""
+        """Place the base upright and at rest at x = y = 0 and this height, m."""
         self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
         self._base_vel[:] = 0.0
 
     def move(self, root: Root) -> None:
-        """Give the base a pose and a velocity at once."""
+        """Set the pose and velocity of the base."""
         self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
         self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
 
     def hold(self) -> None:
-        """Set the outer forces of the next physics step."""
+        """Set the external forces of the next physics step."""
 
     def set_reference(self, root: Root) -> None:
-        """Take the base pose of a reference."""
+        """Receive the base pose of a reference."""
 
     @property
     def loose(self) -> bool:
-        """Whether nothing holds the base now."""
+        """Whether the base is currently released."""
         return False
 
     def push(self, velocity: NDArray[np.float64]) -> None:
-        """Add a velocity (2,) m/s along x and y to a base that nothing holds."""
+        """Add a velocity (2,) along x and y, m/s, to a released base."""
         self._base_vel[:2] += velocity
 
 
 class Bolted(BaseSupport):
-    """The base is part of the world and never moves."""
+    """Support whose base is part of the world and never moves."""
 
     floating = False
 
@@ -345,12 +345,12 @@ class Bolted(BaseSupport):
 
 
 class Hanging(BaseSupport):
-    """The base floats, and an elastic band carries the torso, as in unitree_mujoco.
+    """Support with a floating base and an elastic band at the torso, as in unitree_mujoco.
 
-    The band runs from the point (0, 0, 3) to the base: along that line it pulls with 200 N/m times
-    its length (its rest length is 0) less 100 N·s/m times the base's speed along it. That force
-    acts on the torso, at the centre of mass of the torso and what is fixed to it. Nothing damps a
-    swing. The base starts where the band carries the robot's weight.
+    The band connects the point (0, 0, 3) with the base. Along this line it pulls with 200 N/m times
+    its length (the rest length is 0) minus 100 N·s/m times the speed of the base along it. The
+    force acts on the centre of mass of the torso and the links fixed to it. Swinging is not damped.
+    The base starts at the height at which the band carries the robot's weight.
     """
 
     _TOP: Final = 3.0
@@ -362,7 +362,7 @@ class Hanging(BaseSupport):
         self.height = float(self._TOP - weight / self._STIFFNESS)
         super().__init__(model, data)
         torso = model.body_weldid == model.body_weldid[model.site("secondary_imu").bodyid[0]]
-        # Pulling each body of the torso in proportion to its mass pulls at their common centre.
+        # Forces on the torso's bodies in proportion to their masses act on their common centre.
         self._torso = np.flatnonzero(torso)
         self._share = (model.body_mass[torso] / model.body_mass[torso].sum())[:, None]
         self._forces = data.xfrc_applied
@@ -380,16 +380,16 @@ class Hanging(BaseSupport):
 
 
 class Follow(BaseSupport):
-    """The base is driven along the reference's root pose.
+    """Support that moves the base along the root pose of the reference.
 
-    There is no contact with the floor, which the feet of retargeted motions go through. Without a
-    reference the base stays where it was put. At the first one, and at a leap, the whole robot is
-    moved there at once. When references stop coming it stands still.
+    The floor has no contacts, because the feet of retargeted motions penetrate it. Before the first
+    reference the base stays at its initial pose. At the first reference, and at a jump, the whole
+    robot is moved there at once. Without new references the base stops.
     """
 
     driven = True
-    _LEAP: Final = 0.2  # m between two references, beyond any speed
-    _TIMEOUT: Final = 0.1  # s without a reference, after which the base stands still
+    _LEAP: Final = 0.2  # distance of two references that counts as a jump, m
+    _TIMEOUT: Final = 0.1  # time without a reference after which the base stops, s
 
     def __init__(self, model: Any, data: Any) -> None:
         super().__init__(model, data)
@@ -427,9 +427,10 @@ class Follow(BaseSupport):
 
 
 class Free(Follow):
-    """Nothing holds the base once the motion is played: the robot stands, or falls.
+    """Support that releases the base when the motion begins, so that the robot stands or falls.
 
-    Until then it is held at the reference's first frame, and again when another session begins.
+    Before that, and again when another session begins, the base is held at the reference's first
+    frame.
     """
 
     def __init__(self, model: Any, data: Any) -> None:

@@ -1,1 +1,1 @@
-"""What viewers get: transforms, joint states, scenes, tracking errors, layouts."""
+"""Messages and layouts for viewers: transforms, joint states, scenes and tracking errors."""

@@ -1,12 +1,12 @@
-"""Poses and joint states as Foxglove's protobuf messages, a batch at once.
+"""Encode poses and joint states as Foxglove's protobuf messages, in batches.
 
-Messages of one channel differ only in their numbers. So one message is serialised by the official
-class with placeholders for the numbers; a batch is encoded by copying these bytes and writing the
-numbers over the placeholders, in numpy.
+Messages of one channel differ only in their numbers. Therefore the official class serialises one
+message with placeholders for the numbers. A batch is encoded with numpy by copying these bytes and
+writing the numbers over the placeholders.
 
-That needs fields of fixed width. Doubles have 8 bytes. The two varints of a timestamp are padded to
-five bytes, which the protobuf encoding allows and every decoder accepts. Five bytes hold 35 bits:
-all the seconds that 63 bits of nanoseconds can express.
+This needs fields of fixed width. Doubles have 8 bytes. The two varints of a timestamp are padded to
+five bytes, which the protobuf encoding allows and every decoder accepts. Five bytes hold 35 bits,
+enough for all seconds in 63 bits of nanoseconds.
 """
 
 from __future__ import annotations
@@ -44,26 +44,26 @@ __all__ = [
 ]
 
 WORLD_FRAME: Final = "world"
-"""The default name of the world's frame."""
+"""Default name of the world frame."""
 
 MEASURED_PREFIX: Final = "measured/"
-"""Prefix of the measured robot's frame names; it shares the world's frame with the reference."""
+"""Prefix of the measured robot's frame names; it shares the world frame with the reference."""
 
 GHOST_PREFIX: Final = "ghost/"
-"""Prefix of the frames of the ghost: the reference's joints on the measured pelvis."""
+"""Prefix of the frames of the ghost, which has the reference's joints on the measured pelvis."""
 
 IDENTITY_POSE: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 """Position (3,) m and quaternion (4,) wxyz of a frame that coincides with its parent."""
 
 _NS_PER_S: Final = 1_000_000_000
 
-# Every placeholder contains 0xFF, which no UTF-8 text does: no frame name can be taken for one.
+# Every placeholder contains 0xFF, which UTF-8 text never contains, so a frame name cannot match.
 _SECONDS_PLACEHOLDER: Final = 2**35 - 1
 _NANOS_PLACEHOLDER: Final = _NS_PER_S - 1
 _DOUBLE_PLACEHOLDER: Final = struct.Struct("<2sI2s")
 
-#: Of a timestamp: the tags of seconds and nanoseconds, and of each varint the shift of its five
-#: bytes and the bit that says that another follows.
+#: Encoding of a timestamp: tags of seconds and nanoseconds, and for each varint the shifts of its
+#: five bytes and their continuation bits.
 _TAGS: Final = (0x08, 0x10)
 _SHIFTS: Final = 7 * np.arange(5)
 _MORE: Final = np.array([0x80, 0x80, 0x80, 0x80, 0])
@@ -71,19 +71,19 @@ _TIMESTAMP_SIZE: Final = 12
 
 
 class TransformsEncoder:
-    """Encodes poses of a robot as foxglove.FrameTransforms, from the world down the tree of links.
+    """Encodes poses of a robot as foxglove.FrameTransforms, for the tree of links below the world.
 
     Args:
-        robot: whose links.
-        prefix: put before every link's name to make its frame's.
-        root_link: the link whose pose is given; the URDF's root link if None.
-        world: name of the world's frame, which no link may have.
+        robot: the robot.
+        prefix: prefix of link names in frame names.
+        root_link: link whose pose is given; None: the URDF's root link.
+        world: name of the world frame, which no link may have.
         flat: put every link directly under the world instead of under its parent.
         single: round poses to single precision, which takes half the space in a compressed file.
 
     Raises:
-        ConfigError: a link's frame has the name of the world's.
-        RobotError: there is no such link.
+        ConfigError: the frame of a link has the name of the world frame.
+        RobotError: the robot has no link `root_link`.
     """
 
     def __init__(
@@ -120,13 +120,13 @@ class TransformsEncoder:
         root_pos: Floats,
         root_quat_wxyz: Floats,
     ) -> NDArray[np.uint8]:
-        """One message per time.
+        """Encode one message per time.
 
         Args:
             times_ns: (T,) int64, ns since the epoch.
             joint_pos: (T, 29) rad, motor order.
-            root_pos: (T, 3) m, of `root_link` in the world; or (3,) for all.
-            root_quat_wxyz: (T, 4) likewise, unit, wxyz; or (4,) for all.
+            root_pos: (T, 3) position of `root_link` in the world, m; or (3,) for all times.
+            root_quat_wxyz: (T, 4) its unit quaternion, wxyz; or (4,) for all times.
 
         Returns:
             (T, size) uint8; each row is one message.
@@ -142,32 +142,32 @@ class TransformsEncoder:
 
 
 def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str]]:
-    """The names of the frames of a robot's links: of each link's parent, and of each link.
+    """Frame names of a robot's links: the parent frames, and the frames.
 
     Args:
-        robot: whose links.
-        prefix: put before every link's name.
-        world: the parent of the root link's frame.
+        robot: the robot.
+        prefix: prefix of link names.
+        world: name of the parent of the root link's frame.
 
     Raises:
-        ConfigError: a link's frame has the name of the world's.
+        ConfigError: the frame of a link has the name of the world frame.
     """
     frames = [f"{prefix}{name}" for name in robot.link_names]
     if world in frames:
         raise ConfigError(
             f"The world frame {world!r} has the name of a link of {robot.name}.",
-            "Rename the link; `convert` has --world-frame for another name of the world.",
+            "Rename the link, or use another world frame with --world-frame of `convert`.",
         )
     return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
 
 
 class JointStatesTemplate:
-    """Encodes foxglove.JointStates: the same fields for every joint.
+    """Encodes foxglove.JointStates with the same fields for every joint.
 
     Args:
         joint_names: (J) names.
-        fields: which of `position` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and `effort`
-            (N·m) the messages carry, in the order in which `encode` takes them.
+        fields: some of `position` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and `effort`
+            (N·m), in the order of the columns of `encode`.
     """
 
     def __init__(self, joint_names: Sequence[str], fields: Sequence[str]) -> None:
@@ -180,11 +180,11 @@ class JointStatesTemplate:
         self._template = _Template(message, (len(joint_names), len(fields)), n_times=1)
 
     def encode(self, times_ns: ArrayLike, *columns: ArrayLike) -> NDArray[np.uint8]:
-        """One serialised message per time.
+        """Encode one message per time.
 
         Args:
             times_ns: (T,) int64, ns since the epoch, not negative.
-            columns: (T, J) each, one per field, in the order given at construction.
+            columns: (T, J) each, one per field, in the order of `fields`.
 
         Returns:
             (T, size) uint8; each row is one message.
@@ -195,16 +195,16 @@ class JointStatesTemplate:
         return self._template.fill(times_ns, np.stack([np.asarray(c) for c in columns], axis=-1))
 
     def decode(self, messages: Sequence[bytes]) -> Floats:
-        """The numbers (T, J, fields) of messages that `encode` made.
+        """Decode messages of `encode` into numbers (T, J, fields).
 
         Raises:
-            ValueError: one of them is of another kind.
+            ValueError: a message is of another kind.
         """
         return self._template.read(messages)
 
 
 class _Template:
-    """One serialised message, and where its doubles and its timestamps are."""
+    """One serialised message with the offsets of its doubles and timestamps."""
 
     def __init__(self, message: Message, shape: tuple[int, int], n_times: int) -> None:
         data: bytes = message.SerializeToString()
@@ -217,7 +217,7 @@ class _Template:
         self._timestamps = _find(data, _timestamp_bytes(*placeholder).tobytes(), n_times)
 
     def fill(self, times_ns: ArrayLike, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """(T, size) copies of the message, each with its time and its row of (T, ...) doubles."""
+        """Make (T, size) copies of the message, each with its time and row of (T, ...) doubles."""
         times = np.asarray(times_ns, dtype=np.int64)
         if values.shape != (len(times), *self._shape):
             raise ValueError(f"shape {values.shape} instead of {(len(times), *self._shape)}")
@@ -231,7 +231,7 @@ class _Template:
         return rows
 
     def read(self, messages: Sequence[bytes]) -> Floats:
-        """The doubles (T, ...) of messages that `fill` made."""
+        """Read the doubles (T, ...) from messages of `fill`."""
         if any(len(message) != len(self._bytes) for message in messages):
             raise ValueError(f"a message does not have {len(self._bytes)} bytes")
         rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, len(self._bytes))
@@ -240,7 +240,7 @@ class _Template:
 
 
 def _windows(rows: NDArray[np.uint8], dtype: str) -> NDArray[Any]:
-    """(T, size) bytes as (T, size - itemsize + 1) unaligned items, one from every byte on."""
+    """View (T, size) bytes as (T, size - itemsize + 1) unaligned items, one at every byte."""
     item = np.dtype(dtype)
     n_rows, size = rows.shape
     shape = (n_rows, size - item.itemsize + 1)
@@ -249,7 +249,7 @@ def _windows(rows: NDArray[np.uint8], dtype: str) -> NDArray[Any]:
 
 
 def _timestamp_bytes(seconds: Ints, nanos: Ints) -> NDArray[np.uint8]:
-    """(T, 12): the body of a google.protobuf.Timestamp, both varints padded to five bytes."""
+    """(T, 12) bodies of google.protobuf.Timestamp, with both varints padded to five bytes."""
     packed = np.empty((len(seconds), 2, _TIMESTAMP_SIZE // 2), dtype=np.uint8)
     packed[:, :, 0] = _TAGS
     numbers = np.stack((seconds, nanos), axis=-1)[:, :, np.newaxis]
@@ -271,7 +271,7 @@ def _double_placeholder(index: int) -> float:
 
 
 def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:
-    """The offsets of a placeholder, `count` of them."""
+    """The `count` offsets of a placeholder."""
     offsets = [match.start() for match in re.finditer(re.escape(placeholder), data)]
     if len(offsets) != count:
         raise ValueError(f"{len(offsets)} of {count} placeholders found in the serialised message")

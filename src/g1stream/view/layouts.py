@@ -1,4 +1,4 @@
-"""Layouts of viewers: which topics of a session they show, and where."""
+"""Layouts of viewers, which define the panels for the topics of a session."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ __all__ = [
     "plotjuggler_layout",
 ]
 
-#: Of the reference, of what is measured, and of limits.
+#: Colours of the reference, of measurements, and of limits.
 _REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
 _SIMULATED: Final = "#ff5fa2"
-#: One for each of `JOINT_GROUPS`.
+#: Colours of `JOINT_GROUPS`.
 _LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
-#: The robots and the path in the 3D panel, and which of them are shown at first.
+#: Robots and path in the 3D panel, and whether they are visible initially.
 _SCENES: Final = {
     "/measured/scene": True,
     "/ghost/scene": True,
@@ -41,7 +41,7 @@ DEFAULT_JOINTS: Final = (
     "right_shoulder_pitch_joint",
     "left_elbow_joint",
 )
-"""What is plotted where no session says which joints matter; there is room for so many."""
+"""Joints that are plotted without a session; a layout has space for this number of joints."""
 
 
 def foxglove_layout(
@@ -51,13 +51,13 @@ def foxglove_layout(
     policy: bool = False,
     simulated: bool = False,
 ) -> dict[str, Any]:
-    """A layout for Foxglove and Lichtblick, as the JSON that they import.
+    """Make a layout for Foxglove and Lichtblick, as JSON for their import.
 
     Args:
         joints: names of up to six joints to plot.
-        robot: whose frames are hidden and whose torque limits are drawn; the default one if None.
-        policy: whether to plot the steps of a learned policy, too.
-        simulated: whether to plot what `g1stream simulate` simulated, too.
+        robot: robot whose frames are hidden and whose torque limits are drawn; None: the default.
+        policy: also plot the steps of a learned policy.
+        simulated: also plot the results of `g1stream simulate`.
     """
     robot = robot or G1.default()
     panels: dict[str, Any] = {
@@ -145,13 +145,13 @@ def foxglove_layout(
 
 
 def _simulated(joint: str, field: str, shown: bool) -> list[tuple[str, str, str]]:
-    """The series of a simulated joint, if it is to be shown."""
+    """The series of a simulated joint, if it is shown."""
     path = _joint_path("/simulated/joint_states", joint, field)
     return [(path, "simulated", _SIMULATED)] if shown else []
 
 
 def _policy_panels(joints: Sequence[str]) -> dict[str, Any]:
-    """Delays and actions of each step of a policy."""
+    """Panels with the delays and actions of each step of a policy."""
     colors = (*_LIMB_COLORS, _RED)
     return {
         "Plot!policy-delays": _plot(
@@ -164,7 +164,7 @@ def _policy_panels(joints: Sequence[str]) -> dict[str, Any]:
             legend=True,
         ),
         "Plot!policy-actions": _plot(
-            "policy: actions, as the network gave them",
+            "policy: actions of the network",
             [
                 (f"/policy/terms.action.{joint}", short_name(joint), color)
                 for joint, color in zip(joints, colors, strict=False)
@@ -186,7 +186,7 @@ _BY_LOG_TIME: Final = {"enabled": True, "timestampMethod": "receiveTime"}
 
 
 def _robot_panel(robot: G1) -> dict[str, Any]:
-    """The 3D panel: robots without frames and labels, the camera beside the measured pelvis."""
+    """The 3D panel, without frames and labels, and with the camera beside the measured pelvis."""
     frames = [
         "world",
         *(
@@ -238,14 +238,14 @@ def _robot_panel(robot: G1) -> dict[str, Any]:
 
 
 def _title(text: str) -> dict[str, str]:
-    """A panel's title, as each of the viewers names it."""
+    """The title of a panel, for Foxglove and for Lichtblick."""
     return {"foxglovePanelTitle": text, "lichtblickPanelTitle": text}
 
 
 def _plot(
     title: str, series: Sequence[tuple[str, str, str]], *, legend: bool = False
 ) -> dict[str, Any]:
-    """A plot of series: message path or constant, label, colour."""
+    """A plot of series (message path or constant, label, colour)."""
     return {
         **_title(title),
         "paths": [
@@ -277,14 +277,14 @@ def _grid(panels: Sequence[str]) -> Any:
 
 
 def _rows(panels: Sequence[str]) -> Any:
-    """Panels one below the other, of the same height."""
+    """A column of panels with the same height."""
     return _column(
         *((panel, 100 / (len(panels) - i)) for i, panel in enumerate(panels[:-1])), panels[-1]
     )
 
 
 def _column(*panels: Any) -> Any:
-    """Panels one below the other: each with its share of what is left, %, and the last one."""
+    """A column of (panel, share of the remaining height, %), and a last panel."""
     *above, below = panels
     for panel, share in reversed(above):
         below = {
@@ -297,10 +297,10 @@ def _column(*panels: Any) -> Any:
 
 
 def plotjuggler_layout(joints: Sequence[str]) -> str:
-    """A layout for PlotJuggler, as the XML that it loads.
+    """Make a layout for PlotJuggler, as XML.
 
-    It plots the curves that PlotJuggler makes of sensor_msgs/JointState, which it names by joint:
-    of a session that was converted with `g1stream convert --ros2`.
+    It plots the joint curves that PlotJuggler makes from sensor_msgs/JointState, in a session that
+    was converted with `g1stream convert --ros2`.
 
     Args:
         joints: names of up to six joints to plot.

@@ -1,4 +1,4 @@
-"""The pose of the measured pelvis, from the IMU and from whatever tells its position."""
+"""Pose of the measured pelvis, from the IMU and a source of its position."""
 
 from __future__ import annotations
 
@@ -24,17 +24,21 @@ PositionSource = Literal["sportmodestate", "reference", "none"]
 
 
 class MeasuredBase:
-    """The pose of the measured pelvis in the world of the reference.
+    """Computes the pose of the measured pelvis in the world of the reference.
 
-    An IMU measures yaw from where it was switched on. So the measured yaw is aligned with that of
-    the reference once, at the first state with a valid attitude after the first reference. The
-    position is SportModeState's where there is one, rotated by the same yaw about where it was
-    then; else the reference's; else the origin. Where an attitude is not valid, as an IMU that is
-    not ready sends zeros, it is the last valid one; before that, the reference's; else upright.
+    An IMU measures yaw relative to its attitude at power-on. Therefore the measured yaw is aligned
+    with the yaw of the reference once, at the first state with a valid attitude after the first
+    reference.
+
+    The position is that of SportModeState, rotated by the same yaw about its value at that time.
+    Without SportModeState it is the position of the reference, or the origin without a reference.
+
+    An invalid attitude, such as zeros from an IMU that is not ready, is replaced by the last valid
+    one. Before that, it is the attitude of the reference, or upright without a reference.
 
     Attributes:
-        yaw_offset: what is added to the measured yaw, rad; None before it is known.
-        source: what the position comes from.
+        yaw_offset: offset that is added to the measured yaw, rad; None before it is known.
+        source: source of the position.
     """
 
     def __init__(self) -> None:
@@ -45,11 +49,11 @@ class MeasuredBase:
         self._times: Ints = np.zeros(1, dtype=np.int64)
         self._positions: Floats = np.zeros((1, 3))
         self._measured = False
-        # Of the newest valid state, and of the one before the newest states.
+        # Of the newest valid state, and of the last one before the newest batch.
         self._attitude = self._before = np.array([1.0, 0.0, 0.0, 0.0])
 
     def add_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:
-        """Take in references: (T,) ns, (T, 3) m in the world, (T, 4)."""
+        """Add references: times (T,) ns, positions (T, 3) m in the world, quaternions (T, 4)."""
         if self._reference_yaw is None:
             self._reference_yaw = float(yaw_of(quats_wxyz[0]))
         if not self._measured:
@@ -59,7 +63,7 @@ class MeasuredBase:
             self._extend(times, positions)
 
     def add_positions(self, times: Ints, positions: Floats) -> None:
-        """Take in positions of the pelvis: (T,) ns, (T, 3) m in the world."""
+        """Add positions of the pelvis: times (T,) ns, positions (T, 3) m in the world."""
         if self.source != "sportmodestate":
             self.source = "sportmodestate"
             self._times, self._positions = times, positions
@@ -67,7 +71,7 @@ class MeasuredBase:
             self._extend(times, positions)
 
     def add_states(self, times: Ints, imu_quats_wxyz: Floats) -> None:
-        """Take in states: (T,) ns, (T, 4); the first valid one after a reference aligns the yaw."""
+        """Add states: times (T,) ns, quaternions (T, 4); the first valid one aligns the yaw."""
         valid = np.flatnonzero(is_unit(imu_quats_wxyz))
         self._before = self._attitude
         if not len(valid):
@@ -83,8 +87,8 @@ class MeasuredBase:
         """Positions (T, 3) m and attitudes (T, 4) wxyz of the pelvis in the world.
 
         Args:
-            times: (T,) ns, publish times of the states that were taken in last.
-            imu_quats_wxyz: (T, 4) attitude by the IMU.
+            times: (T,) publish times of the states that were added last, ns.
+            imu_quats_wxyz: (T, 4) attitudes from the IMU.
         """
         positions = self._positions_at(times)
         if self.source == "sportmodestate" and self._start is not None:
@@ -104,10 +108,10 @@ class MeasuredBase:
         return quat_from_yaw(self.yaw_offset or 0.0)
 
     def _positions_at(self, times: Ints) -> Floats:
-        """(T, 3) on straight lines between those that are known."""
+        """(T, 3) positions, linearly interpolated."""
         return np.stack([np.interp(times, self._times, axis) for axis in self._positions.T], axis=1)
 
     def _extend(self, times: Ints, positions: Floats) -> None:
-        """Replace all but the last known position."""
+        """Replace the known positions except the last one."""
         self._times = np.append(self._times[-1:], times)
         self._positions = np.concatenate([self._positions[-1:], positions])

@@ -1,6 +1,6 @@
-"""What viewers show of the samples of a session: a list of encoders, each of some topics.
+"""Pipeline from the samples of a session to messages for viewers.
 
-Needs no DDS participant. The samples themselves are not its business: the recorder copies them.
+It needs no DDS participant. The recorder writes the samples themselves.
 """
 
 from __future__ import annotations
@@ -53,33 +53,33 @@ __all__ = ["Decimator", "MessagePipeline", "Track", "TrackingError"]
 _GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
 _REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
 _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
-#: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
+#: Duration of the path of the pelvis, s, and its points and messages per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
 _FIELDS: Final = ("position", "velocity", "acceleration", "effort")
-#: Of the numbers of /policy/terms.
+#: Decimals of the numbers in /policy/terms.
 _DECIMALS: Final = 5
-#: How long a state waits for the reference that follows it, ns.
+#: Maximum wait of a state for the next reference, ns.
 _MAX_WAIT_NS: Final = 1_000_000_000
-#: ns of publish times that one message of /timing/* is about.
+#: Interval of publish times for one message of /timing/*, ns.
 _TIMING_SPAN: Final = 50_000_000
 
 
 class MessagePipeline:
-    """Makes the messages for viewers from batches of wire samples; none with the channels raw.
+    """Makes messages for viewers from batches of samples; none with the channels raw.
 
     Args:
-        robot: whose links and joints.
-        settings: which messages are made of the samples (`channels`) and how often (`tf_rate`),
-            and whether scenes have meshes (`meshes`); the defaults if None.
-        policy: that plays, whose terms have names; None where it is not known.
+        robot: the robot.
+        settings: the kinds of messages (`channels`), their rate (`tf_rate`), and whether scenes
+            have meshes (`meshes`); None: the defaults.
+        policy: the policy that plays, with the names of its terms; None if unknown.
 
     Attributes:
-        base: the measured pelvis's pose in the world of the reference; None with the channels raw.
+        base: pose of the measured pelvis in the world of the reference; None with the channels raw.
 
     Raises:
-        ConfigError: a link of the robot has the name of the world's frame, or the extra `meshes`
-            is not installed.
-        RobotError: a mesh cannot be read, or there is none for the robot's links.
+        ConfigError: a link of the robot has the name of the world frame, or the extra `meshes` is
+            not installed.
+        RobotError: a mesh cannot be read, or there are no meshes for the robot's links.
     """
 
     def __init__(
@@ -92,8 +92,8 @@ class MessagePipeline:
         raw = settings.channels == "raw"
         if raw and settings.meshes:
             raise ConfigError(
-                "Meshes are for viewers, for which the channels raw have nothing.",
-                "Leave out --meshes, or record --channels standard.",
+                "Meshes are for viewers, but the channels raw have no messages for viewers.",
+                "Remove --meshes, or record with --channels standard.",
             )
         self._robot = robot
         self._shown = robot_with_meshes(robot) if settings.meshes else robot
@@ -102,7 +102,7 @@ class MessagePipeline:
         self._encoders = _encoders(robot, self.base, settings, policy) if self.base else ()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
-        """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
+        """Messages at the start of a file: scenes of the robots, and the measured robot's URDF.
 
         Args:
             time_ns: log and publish time, ns since the epoch.
@@ -125,10 +125,10 @@ class MessagePipeline:
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
 
     def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
-        """The messages of one round of batches.
+        """Make the messages of one round of batches.
 
         Args:
-            batches: by DDS topic name, each oldest first and not empty.
+            batches: batches by DDS topic name, each oldest first and not empty.
 
         Raises:
             ValueError: a sample is not of its topic's type.
@@ -152,7 +152,7 @@ _READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODEST
 
 
 class _Decoded:
-    """The samples of a topic in a round: publish and log times (T,) ns, and fields by name."""
+    """Decoded samples of a topic, with publish and log times (T,) ns, and fields by name."""
 
     def __init__(self, name: str, batch: Batch) -> None:
         self.published, self.logged = np.array(batch.publish_times), np.array(batch.log_times)
@@ -166,20 +166,20 @@ class _Decoded:
 
     @property
     def delay(self) -> Floats:
-        """(T,) s from the publish times of the observed states, by steps of a policy; nan: none."""
+        """(T,) delay of a policy's steps after the publish times of their states, s; or nan."""
         return delays_of_steps(self.published, self._samples["state_published"])
 
     @property
     def played(self) -> NDArray[np.bool_]:
-        """(29,) which joints play, by references."""
+        """(29,) the joints that play the motion in any of the references."""
         return played_joints(np.bitwise_or.reduce(self._samples["played"]))
 
 
 class _Encoder(Protocol):
-    """Makes the messages of some topics of the file."""
+    """Interface that makes the messages of some topics of the file."""
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
-        """The messages of one round, from its samples by DDS topic name."""
+        """Make the messages of one round, from its samples by DDS topic name."""
 
 
 def _encoders(
@@ -198,10 +198,10 @@ def _encoders(
 
 
 class Decimator:
-    """Thins a stream to a rate: keeps the first message of each period.
+    """Reduces a stream to a rate by keeping the first message of each period.
 
     Args:
-        rate: how many a second to keep, Hz; a slower stream passes whole.
+        rate: rate to keep, Hz; a slower stream is unchanged.
     """
 
     def __init__(self, rate: float) -> None:
@@ -209,14 +209,14 @@ class Decimator:
         self._last_period = -1
 
     def pick(self, times: Ints) -> NDArray[np.intp]:
-        """Indices of the times (T,), ns in order, to keep."""
+        """Indices of the kept ones of times (T,), ns in ascending order."""
         periods = np.append(self._last_period, times // self._period)
         self._last_period = int(periods[-1])
         return np.flatnonzero(np.diff(periods))
 
 
 class _References:
-    """/tf, /ghost/tf and /reference/joint_states."""
+    """Encoder of /tf, /ghost/tf and /reference/joint_states."""
 
     def __init__(self, robot: G1, rate: float, *, every: bool) -> None:
         world = MEASURED_PREFIX + robot.link_names[0]
@@ -245,7 +245,7 @@ class _References:
 
 
 class _States:
-    """/measured/tf and /measured/joint_states."""
+    """Encoder of /measured/tf and /measured/joint_states."""
 
     def __init__(self, robot: G1, base: MeasuredBase, rate: float, *, every: bool) -> None:
         self._few = Decimator(rate)
@@ -270,7 +270,7 @@ class _States:
 
 
 class _Path:
-    """/measured/path: where the pelvis was in the last seconds."""
+    """Encoder of /measured/path, the path of the pelvis in the last seconds."""
 
     def __init__(self, base: MeasuredBase) -> None:
         self._base = base
@@ -289,7 +289,7 @@ class _Path:
 
 
 class _Timing:
-    """The longest interval and latency in each 0.05 s of a stream."""
+    """Encoder of the longest interval and latency of a stream in each 0.05 s."""
 
     def __init__(self, topic: str, dds_topic: str) -> None:
         self._topic, self._dds_topic = topic, dds_topic
@@ -311,7 +311,7 @@ class _Timing:
 
 
 class _Errors:
-    """/tracking_error/joint_states and /tracking_error/limbs."""
+    """Encoder of /tracking_error/joint_states and /tracking_error/limbs."""
 
     def __init__(self, joint_names: Sequence[str], rate: float, *, every: bool) -> None:
         fields = _FIELDS[:2]
@@ -342,9 +342,9 @@ class _Errors:
 
 
 class _PolicyTerms:
-    """/policy/terms: the steps of a policy by the names of its terms and joints.
+    """Encoder of /policy/terms, the steps of a policy by the names of its terms and joints.
 
-    Without `columns`, those of each term, the whole observation is one term, `values`.
+    `columns` has the columns of each term. Without it, the whole observation is one term, `values`.
     """
 
     def __init__(self, joint_names: Sequence[str], columns: Mapping[str, slice]) -> None:
@@ -375,12 +375,12 @@ class _PolicyTerms:
 
 
 def _plain(values: Floats) -> list[float | None]:
-    """Numbers as JSON has them: with a few decimals, and null where they are not finite."""
+    """Round numbers for JSON, with null for values that are not finite."""
     return [x if math.isfinite(x) else None for x in values.round(_DECIMALS).tolist()]
 
 
 class _JointStates:
-    """Joint states as messages of a topic: of all times that are given if `every`, or of some."""
+    """Encoder of joint states on one topic, of all times if `every`, otherwise of some."""
 
     def __init__(
         self, topic: str, names: Sequence[str], fields: Sequence[str], *, every: bool
@@ -391,8 +391,8 @@ class _JointStates:
     def encode(
         self, published: Ints, logged: Ints, few: NDArray[np.intp], *columns: Floats
     ) -> MessageBatch:
-        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field."""
-        # In single precision, which takes half the space in a compressed file.
+        """Encode times (T,), ns, or `few` of them; columns (T, J), one per field."""
+        # Single precision takes half the space in a compressed file.
         chosen = slice(None) if self._every else few
         values = (column[chosen].astype(np.float32) for column in columns)
         payloads = self._template.encode(published[chosen], *values)
@@ -400,7 +400,7 @@ class _JointStates:
 
 
 class Track(NamedTuple):
-    """Joints at T times: publish and log times (T,) ns, q and dq (T, 29) rad and rad/s."""
+    """Joint states at T times: publish and log times (T,) ns, q and dq (T, 29) rad and rad/s."""
 
     publish_times: Ints
     log_times: Ints
@@ -408,29 +408,29 @@ class Track(NamedTuple):
     dq: Floats
 
     def where(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Track:
-        """Some of the times."""
+        """Select some of the times."""
         return Track._make(values[index] for values in self)
 
     def then(self, other: Track) -> Track:
-        """Both, one after the other."""
+        """Concatenate two tracks."""
         return Track._make(np.concatenate(pair) for pair in zip(self, other, strict=True))
 
 
 class TrackingError:
-    """Computes the tracking error of states and references that come in batches.
+    """Computes the tracking error of states and references that arrive in batches.
 
     The error is reference minus measured, at the publish time of each measured state. The reference
-    between two samples is taken as a straight line. Between samples further apart than `MAX_GAP_NS`
-    nothing is known of it, and states there have no error.
+    is interpolated linearly between two samples. States in a gap of the reference longer than
+    `MAX_GAP_NS` have no error.
 
-    An error is known when the reference after its state has come; its log time is when the last of
-    what it is made of was received.
+    An error is known after the next reference has arrived. Its log time is the latest reception
+    time of its samples.
 
     Args:
-        n_joints: how many joints there are.
+        n_joints: number of joints.
 
     Attributes:
-        played: (n_joints,) those that play the motion, by the references taken in last.
+        played: (n_joints,) joints that play the motion, from the last references.
     """
 
     def __init__(self, n_joints: int) -> None:
@@ -439,23 +439,23 @@ class TrackingError:
         self.played = np.ones(n_joints, dtype=bool)
 
     def add_references(self, references: Track, played: NDArray[np.bool_] | None = None) -> None:
-        """Take in references, and which joints (n_joints,) play them; all if None."""
+        """Add references, and the joints (n_joints,) that play them; None: unchanged."""
         if played is not None:
             self.played = played
         together = self._references.then(references)
-        # Two writers' references may come interleaved.
+        # References of two writers may be interleaved.
         self._references = together.where(np.argsort(together.publish_times, kind="stable"))
 
     def add_states(self, states: Track) -> None:
-        """Take in measured states."""
+        """Add measured states."""
         self._states = self._states.then(states)
 
     def take(self) -> Track:
-        """The errors that became known: q (rad) and dq (rad/s) are reference minus measured."""
+        """Take the newly known errors; q (rad) and dq (rad/s) are reference minus measured."""
         references, states = self._references, self._states
         known = states.publish_times <= references.publish_times[-1:].max(initial=-1)
         self._states = _recent(states.where(~known))
-        # Kept though no state waits: one published before them may be handed over after them.
+        # Kept even if no state waits, because states may be added after later references.
         self._references = _recent(references)
         states = states.where(known)
         around = neighbours(references.publish_times, states.publish_times)
@@ -479,6 +479,6 @@ def _by_limb(errors: Floats, played: NDArray[np.bool_]) -> Floats:
 
 
 def _recent(track: Track) -> Track:
-    """Without what is much older than the newest."""
+    """Remove samples that are much older than the newest one."""
     newest = track.publish_times.max(initial=0)
     return track.where(track.publish_times >= newest - _MAX_WAIT_NS)

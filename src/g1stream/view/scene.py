@@ -1,4 +1,4 @@
-"""What viewers draw: Foxglove scenes of the robot and of its path, and its URDF as ROS sends it."""
+"""Foxglove scenes of the robot and of its path."""
 
 from __future__ import annotations
 
@@ -42,22 +42,22 @@ _MEDIA_TYPES: Final = {
     ".obj": "model/obj",
     ".glb": "model/gltf-binary",
 }
-#: The grid of the points of a mesh: 0.12 mm, a power of two, so that most bits of them are zero.
+#: Resolution of the points of a mesh, 0.12 mm; a power of two, so that most of their bits are zero.
 _POINTS_PER_M: Final = 2.0**13
 
 
 class Shape(NamedTuple):
-    """A mesh as a visual of a URDF scales it: the mesh's name there, and the scale (3,)."""
+    """A mesh of a URDF with its name and its scale (3,)."""
 
     mesh: str
     scale: tuple[float, ...]
 
 
 def draw_meshes(robot: G1) -> dict[Shape, Mesh]:
-    """The STL meshes of a robot with fewer triangles, as `encode_scene` takes them, scaled to m.
+    """Read the STL meshes of a robot for `encode_scene`, decimated, and scaled to m.
 
-    Triangles are what all viewers show the same: a mesh file would have to say which axis is up,
-    and to be tinted.
+    Triangles look the same in all viewers. Viewers differ in the up axis and the tint of mesh
+    files.
 
     Raises:
         RobotError: a mesh cannot be read.
@@ -85,19 +85,19 @@ def encode_scene(
     *,
     ghost: bool = False,
 ) -> bytes:
-    """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
+    """Encode the shapes of a robot as foxglove.SceneUpdate, locked to the frames of its links.
 
-    Meshes that are not in `drawn` are embedded whole where their files are found and their suffix
-    is one of a mesh; others are referred to by name, so that a URDF cannot bring another file into
-    a session.
+    Meshes that are not in `drawn` are embedded completely if their files are found and have the
+    suffix of a mesh. Others are referenced by name, so that a URDF cannot bring another file into a
+    session.
 
     Args:
         timestamp_ns: ns since the epoch.
-        robot: whose URDF has the shapes.
-        prefix: of the frames of its links.
-        tint: red, green, blue and opacity of all shapes, 0 to 1; the URDF's colours if None.
-        drawn: the robot's meshes by `draw_meshes`.
-        ghost: whether it is drawn over the robot; then its shapes are smaller, but for meshes that
+        robot: the robot.
+        prefix: prefix of the frames of its links.
+        tint: red, green, blue and opacity of all shapes, 0 to 1; None: the URDF's colours.
+        drawn: the robot's meshes from `draw_meshes`.
+        ghost: whether it is drawn over the robot; then its shapes are smaller, except meshes that
             are not in `drawn`.
 
     Raises:
@@ -111,8 +111,8 @@ def encode_scene(
     if size > MESHES:
         raise RobotError(
             f"The meshes of {robot.source} have {size / 2**20:.0f} MiB.",
-            f"Give it simpler ones, of {MESHES / 2**20:.0f} MiB at most, or move them away "
-            "to be shown by their names only.",
+            f"Use simpler ones, with at most {MESHES / 2**20:.0f} MiB, or move them away, so that "
+            "they are referenced by name only.",
         )
     entities: dict[str, SceneEntity] = {}
     for visual in visuals:
@@ -126,11 +126,11 @@ def encode_scene(
 
 
 class PathEncoder:
-    """Draws where a frame has been in the last seconds, as foxglove.SceneUpdate with one line.
+    """Draws the path of a frame in the last seconds, as foxglove.SceneUpdate with one line.
 
     Args:
-        entity_id: of the line.
-        seconds: how long the line reaches back.
+        entity_id: entity id of the line.
+        seconds: duration of the path, s.
         color: red, green, blue and opacity, 0 to 1.
     """
 
@@ -140,12 +140,12 @@ class PathEncoder:
         self._points: Floats = np.empty((0, 3))
 
     def encode(self, times: Ints, points: Floats, instants: Ints) -> list[bytes]:
-        """Take in points, and draw the line at some of their times.
+        """Add points, and draw the line at some of their times.
 
         Args:
             times: (T,) ns since the epoch.
             points: (T, 3) m, world.
-            instants: (K,) of the times, at which a line is wanted.
+            instants: (K,) the times at which a line is drawn.
         """
         self._times = np.append(self._times, times)
         self._points = np.concatenate([self._points, points])
@@ -169,14 +169,14 @@ class PathEncoder:
 
 
 def load_mesh(robot: G1, name: str) -> dict[str, Any]:
-    """A mesh as a foxglove.ModelPrimitive has it.
+    """Load a mesh as fields of foxglove.ModelPrimitive.
 
     Returns:
-        `data` and `media_type` where its file is found, else `url`, its name for the viewer to look
-        up.
+        `data` and `media_type` if its file is found, otherwise `url`, its name, which the viewer
+        resolves.
 
     Raises:
-        RobotError: the file is there and cannot be read.
+        RobotError: the file exists but cannot be read.
     """
     path = find_mesh(robot, name)
     media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
@@ -187,7 +187,7 @@ def load_mesh(robot: G1, name: str) -> dict[str, Any]:
     except OSError as error:
         raise RobotError(
             f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
-            "Make it readable, or move it away to be shown by its name only.",
+            "Make it readable, or move it away, so that it is referenced by name only.",
         ) from error
 
 
@@ -200,7 +200,7 @@ def _add(
     *,
     ghost: bool,
 ) -> None:
-    """Add a shape to its link's entity."""
+    """Add a shape to the entity of its link."""
     mesh = drawn.get(Shape(visual.mesh, visual.size))
     size = visual.size
     if mesh is not None:
@@ -212,7 +212,7 @@ def _add(
     elif visual.kind == "cylinder":
         shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
     else:
-        # Viewers tint a mesh only by overriding its colours with one.
+        # Viewers tint a mesh only if its colours are overridden.
         override = visual.coloured or tint is not None
         shape = entity.models.add(override_color=override, **models[visual.mesh])
     if mesh is None:
@@ -228,7 +228,7 @@ def _add(
 
 
 def _add_triangles(entity: SceneEntity, mesh: Mesh) -> TriangleListPrimitive:
-    """A mesh whose points are rounded, which makes them small in a compressed file."""
+    """Add a mesh with rounded points, which compress better."""
     added: TriangleListPrimitive = entity.triangles.add(indices=mesh.triangles.ravel().tolist())
     points = np.round(np.float64(mesh.points) * _POINTS_PER_M) / _POINTS_PER_M
     for x, y, z in points.tolist():

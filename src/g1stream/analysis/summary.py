@@ -1,6 +1,6 @@
-"""The summary of a session: what `stream`, `record`, `demo` and `info` print, and `--json` dumps.
+"""The summary of a session, which `stream`, `record`, `demo` and `info` print and `--json` dumps.
 
-Field names are those of the JSON; units are part of them. None stands for what is not known.
+Field names are those of the JSON, with units. None means unknown.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ __all__ = [
 ]
 
 TO_ITS_END: Final = 0.1
-"""Played to within this of the end that was asked for, s, a motion was played to its end."""
+"""A motion that was played to within this of the requested end, s, was played to its end."""
 
 _LABEL: Final = 14
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
-#: A motion that waited for longer for the robot's time is shown, s.
+#: A longer wait of the motion for the robot's time is shown, s.
 _WAITED: Final = 0.05
-#: Supports with which the pelvis moves as the robot does, or as the motion does.
+#: Supports with which the pelvis moves like the robot, or like the motion.
 _MOVES: Final = {"follow", "free", "feet"}
-#: How it ended, where nobody told.
+#: Text for an unknown end.
 _UNTOLD: Final = "not recorded"
 
 
@@ -236,7 +236,7 @@ class Summary(Record):
 
 
 def outcome(summary: Summary) -> str:
-    """How it went, in one sentence."""
+    """The result of the session, in one sentence."""
     tracking, ended = summary.tracking, _ended(summary)
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
@@ -259,14 +259,14 @@ def outcome(summary: Summary) -> str:
 
 
 def most(ticks: Mapping[str, int]) -> str:
-    """The first joints with their ticks, and how many others there are."""
+    """The first joints with their ticks, and the number of the others."""
     named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
     rest = len(ticks) - _MOST_JOINTS
     return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
 
 
 def session_facts(summary: Summary) -> list[tuple[str, str]]:
-    """What ran, when, where and with which settings: labels and texts."""
+    """Time, place and settings of the run, as labels and texts."""
     motion, recorder, stream = summary.motion, summary.recorder, summary.stream
     ramp = ""
     if stream and stream.ramp_s is not None and stream.ramp_speed_rad_s is not None:
@@ -306,7 +306,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
-    """What the stream counted: labels and texts."""
+    """The stream's counters, as labels and texts."""
     skipped, late = stream.skipped_ticks, stream.lateness_us
     commands = "none sent" if stream.commands == 0 else ""
     if stream.commands:
@@ -330,7 +330,7 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         time = f"{time}; " if time else ""
         time += f"the motion waited {stream.waited_s:.2f} s for it"
     if stream.slowed not in (None, 1.0):
-        slowed = f"{stream.slowed:g} times, to fit the joints' speeds"
+        slowed = f"{stream.slowed:g} times, to keep the joints' speed limits"
     held = (
         ("clamped", "joint targets at their limits", stream.clamped_ticks),
         ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),
@@ -358,7 +358,7 @@ def _filled(*facts: tuple[str, str]) -> list[tuple[str, str]]:
 
 
 def _lines(facts: Iterable[tuple[str, str]]) -> list[str]:
-    """Facts, each label once where several in a row have it."""
+    """Lines of facts. A repeated label is printed once."""
     lines, before = [], ""
     for label, text in _filled(*facts):
         lines.append(labelled(("" if label == before else label).ljust(_LABEL), text))
@@ -405,7 +405,7 @@ def _part(motion: MotionInfo) -> str:
 
 
 def _joints(summary: Summary) -> str:
-    """Which joints played the motion, limbs that did as a whole by their name; empty if all did."""
+    """The joints that played the motion, with whole limbs by name; empty if all played."""
     if not summary.joints or not (summary.absent or len(summary.joints) < N_JOINTS):
         return ""
     played, missing, named = {*summary.joints}, {*summary.absent}, []
@@ -427,7 +427,7 @@ def _joints(summary: Summary) -> str:
 
 
 def _ended(summary: Summary) -> str:
-    """How it ended and how much was played; empty where neither is known."""
+    """How the session ended and how much was played; empty if both are unknown."""
     termination = summary.termination
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
     asked = (summary.settings or {}).get("stream.duration")
@@ -453,7 +453,7 @@ def _ended(summary: Summary) -> str:
         return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
     of = f"{motion:.1f} s"
     if termination.reason and isinstance(asked, (int, float)) and asked < rest:
-        of = f"the {asked:.1f} s that were asked for"
+        of = f"the requested {asked:.1f} s"
     return f"{how}; played {played:.1f} of {of}" + (f" from {start:.1f} s" if start else "")
 
 
@@ -478,9 +478,9 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
         + (excluded if tracking.excluded_states else "")
     )
     if summary.attached and summary.attached.by_robot:
-        delay = "not known: the robot's own joints told when the motion began"
+        delay = "unknown: the robot's own joints gave the start of the motion"
     elif not summary.topics and tracking.all_joints.delay_s is None:
-        delay = "found in recordings only: give --record"
+        delay = "only computed for recordings: give --record"
     else:
         delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     worst = str(summary.worst) if summary.worst else ""
@@ -492,7 +492,7 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
 
 
 def _success(summary: Summary) -> list[tuple[str, str]]:
-    """Whether the run is a success, by each of the criteria."""
+    """Whether the run is a success, by each criterion."""
     found, ends = summary.success, summary.terminations
     if found is None:
         return []
@@ -521,9 +521,9 @@ def _attached(info: AttachedInfo) -> str:
 def _delay(tracking: TrackingSummary, preview: float | None) -> str:
     delay = tracking.all_joints.delay_s
     if delay is None:
-        return "not determined: too little moves, or no delay explains the error"
+        return "unknown: too little movement, or no delay explains the error"
     side = "behind" if delay >= 0 else "ahead of"
-    # Commands are ahead of the reference, so that the robot, which is behind them, is not.
+    # Commands are ahead of the reference, to compensate the robot's delay.
     behind = (
         f", {(delay + preview) * 1e3:.1f} ms behind its commands, which are sent "
         f"{preview * 1e3:.1f} ms ahead (stream.preview)"
@@ -572,7 +572,7 @@ def _change(change: FeedForwardChange) -> str:
 
 
 def _message_lines(summary: Summary) -> list[str]:
-    """A row for each topic of DDS; the number of the others and of their messages."""
+    """A row for each DDS topic; for other topics only their number and messages."""
     topics = {
         topic: stats
         for topic, stats in summary.topics.items()
@@ -586,7 +586,7 @@ def _message_lines(summary: Summary) -> list[str]:
     lines = table(rows, left=(0,)) if topics else []
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
-    # A recorder writes the robot's description by itself.
+    # A recorder always writes the robot's description.
     if others and not (summary.recorder and summary.first_ns is None):
         text = f"{len(others)}, with {counted(sum(others), 'message')}"
         lines += _lines([("other topics", text)])

@@ -1,6 +1,6 @@
 """A recording, from a file, a directory of files or memory, as numpy arrays.
 
-It is what was recorded and nothing that is computed of it; `g1stream.Session` adds that.
+It has only recorded data; `g1stream.Session` adds computed results.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Recording:
 
     @property
     def converted(self) -> bool:
-        """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
+        """Whether `g1stream convert` made it from a motion, which was not played."""
         return bool(
             self.paths and self.topics.get(CONVERTED) and not self.topics.get(ReferenceStream.topic)
         )
@@ -199,7 +199,7 @@ class Recording:
 
     @cached_property
     def policy_info(self) -> PolicyInfo | None:
-        """The policy that played, and what it takes and gives; None where that is not known."""
+        """The policy that played, with its inputs and outputs; None if they are unknown."""
         info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
         return info
 
@@ -228,7 +228,7 @@ class Recording:
         return stream
 
     def read(self, columns: Mapping[type[Stream], Sequence[str]]) -> None:
-        """Read columns of several streams in one pass, which takes less time than one each.
+        """Read columns of several streams in one pass, which is faster than one pass for each.
 
         Args:
             columns: names by stream, all of its columns if there are none. Of a topic without
@@ -357,7 +357,7 @@ class Recording:
 
     @cached_property
     def clock_steps(self) -> list[int]:
-        """By how much the recorder's clock was set, ns, where that is more than any gap."""
+        """Steps of the recorder's clock, ns, that are larger than any gap."""
         info, _ = read_record(SessionInfo, self.metadata)
         steps = [step.step_ns for step in info.clock_steps] if info else []
         return [step for step in steps if abs(step) >= MAX_GAP_NS]
@@ -506,7 +506,7 @@ class Recording:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
         if not self.complete:
             return RecordingError(
-                f"The session file {self.path} was cut off before the first sample of {none}.",
+                f"The session file {self.path} ends before the first sample of {none}.",
                 "Copy it again, or record again.",
             )
         header = {"/log", *(topic for topic, channel in CHANNELS.items() if channel.latched)}

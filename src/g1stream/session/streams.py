@@ -49,7 +49,7 @@ __all__ = [
 
 _TIMES: Final = ("log_time", "publish_time")
 
-#: If half of the messages take longer than this, ns, it is the clocks that differ.
+#: If half of the messages take longer than this, ns, the clocks differ.
 _SLOWEST_WIRE: Final = 20_000_000
 
 StreamT = TypeVar("StreamT", bound="Stream")
@@ -207,7 +207,7 @@ class Stream:
 
     @property
     def clock_offset(self) -> int:
-        """What must be added to publish times to be on the recorder's clock, ns.
+        """Offset to add to publish times to get the recorder's clock, ns.
 
         No message arrives before it is sent, and few take longer than 20 ms: if half of them seem
         to, producer and recorder have clocks that differ. The median of log_time - publish_time is
@@ -225,7 +225,7 @@ def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same array, which nobody may write to any more."""
+    """The same array, made read-only."""
     values.setflags(write=False)
     return values
 
@@ -404,7 +404,7 @@ class CommandStream(Stream):
 
 
 class ArmCommandStream(CommandStream):
-    """The targets for arms and waist that the robot's own controller was given."""
+    """The targets for arms and waist that were sent to the robot's own controller."""
 
     topic = "/arm_sdk"
     source = messages.ARM_SDK
@@ -539,7 +539,7 @@ class LogEvent(NamedTuple):
 
 
 def warnings_in(log: Iterable[LogEvent], last_command: int) -> list[str]:
-    """The warnings and errors in a log; of those that differ in their numbers only, the last.
+    """The warnings and errors in a log; of messages that differ only in numbers, the last.
 
     What the guard logs is left out, and a simulator that tells that commands have stopped after the
     last of all: then their program has ended.

@@ -158,7 +158,7 @@ def test_the_command(tmp_path, capsys):
     assert "passed: rmse < 1 * base does not hold" in capsys.readouterr().out
     assert main([*given, "--fail-if", "rmse < 1 * base", "--fail-if", "rmse > 0.015"]) == 1
     assert main([*given, "--fail-if", "torque_use > 1e9"]) == 1  # the sessions have no such metric
-    assert "cannot be told, not all sessions have torque_use" in capsys.readouterr().out
+    assert "is unknown, because not all sessions have torque_use" in capsys.readouterr().out
     missing = ["compare", "not there", "--with", "not there either"]
     assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
     assert "two or more" in capsys.readouterr().err

@@ -65,7 +65,7 @@ def write_ros2_bag(
     """Write a session as a ROS 2 bag. Nothing is written if it fails."""
     source, out = SessionFiles(session), parts_directory(out)
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
-        raise RecordingError(f"The output {out} is the session.", "Choose another directory.")
+        raise RecordingError(f"The output {out} contains the session.", "Choose another directory.")
     check_recording_path(out, split=True, force=force)
     place = temporary_path(out)
     total, done = max(1, sum(source.topics.values())), 0

@@ -68,14 +68,12 @@ class Termination(Record):
     """How a session ended.
 
     Attributes:
-        reason: why the stream ended early; empty when it ended as asked, None where that is not
-            known.
-        undamped_in: the phase in which the stream process ended without DAMP; None where it did
-            not.
-        guard: what the guard process logged when it damped the robot; None where it did not.
-        played_s: how much of the motion was played, in its own time.
-        motion_s: how long the motion is.
-        start_s: where in the motion PLAY was to begin.
+        reason: why the stream ended early; empty if it ended as asked, None if unknown.
+        undamped_in: phase in which the stream process ended without DAMP; None if it damped.
+        guard: message of the guard process when it damped the robot; None if it did not.
+        played_s: played length of the motion, in its own time.
+        motion_s: duration of the motion.
+        start_s: requested start in the motion.
     """
 
     reason: str | None = None
@@ -90,20 +88,20 @@ class SuccessMetrics(Record):
     """Whether the motion was played to its end and followed.
 
     Attributes:
-        completed: whether the stream played what it was asked to; None where that is not known.
-        progress: share of what was asked that was played, 0 to 1.
-        links: what the links' distance is measured by: `world` where nothing holds the pelvis,
-            `root_relative` or `pelvis_frame` else.
-        max_link_error_mm: the greatest of the frames' mean distances of all links.
-        success: completed, and that distance at most 500 mm in every frame, as PHC, OmniH2O and
-            ASAP ask; None where one of the two is not known.
-        success_strict: the same with BeyondMimic's limits on heights of pelvis, hands and feet
-            (250 mm) and the pelvis's tilt (0.8) in place of that distance; None where something
-            holds the pelvis.
-        success_sonic: the same with SONIC's limits on those heights (250 mm) and the pelvis's
-            attitude (1 rad); likewise.
-        spoilt_by_ms: see `Summary`. A run that was spoilt has not failed: of the three, those that
-            would be false are None.
+        completed: whether the stream played the requested part; None if unknown.
+        progress: played fraction of the requested part, 0 to 1.
+        links: the distance of the links that is used: `world` if nothing holds the pelvis,
+            otherwise `root_relative` or `pelvis_frame`.
+        max_link_error_mm: largest mean distance of all links in a frame.
+        success: completed, with this distance at most 500 mm in every frame, as in PHC, OmniH2O
+            and ASAP; None if one of the two is unknown.
+        success_strict: completed within BeyondMimic's limits on heights of pelvis, hands and feet
+            (250 mm) and the pelvis's tilt (0.8) instead of this distance; None if something holds
+            the pelvis.
+        success_sonic: completed within SONIC's limits on those heights (250 mm) and the pelvis's
+            attitude (1 rad); None likewise.
+        spoilt_by_ms: see `Summary`. A spoilt run has not failed: instead of false, the three
+            results above are None.
     """
 
     completed: bool | None = None
@@ -117,18 +115,18 @@ class SuccessMetrics(Record):
 
 
 class MessageStats(Record):
-    """The messages of a topic; for those that the recorder derives, only their number.
+    """Statistics of a topic's messages; for derived topics only their number.
 
     Attributes:
-        count: messages in the file.
-        lost: samples known to be lost.
+        count: number of messages in the file.
+        lost: number of samples known to be lost.
         rate_hz: messages per second from the first to the last publish time.
         gaps: publish intervals of more than 3 medians.
         longest_interval_s: between two publish times.
-        latency_us: log time - publish time; where the two clocks differ, that is in it. None where
-            both are a simulation's.
-        clock_offset_s: what must be added to publish times to be on the recorder's clock; 0 where
-            the clocks agree as far as can be seen.
+        latency_us: log time - publish time, including any offset of the clocks; None if both are
+            simulated.
+        clock_offset_s: offset to add to publish times to get the recorder's clock; 0 if no offset
+            can be detected.
     """
 
     count: Int
@@ -141,38 +139,38 @@ class MessageStats(Record):
 
 
 class Summary(Record):
-    """What is in a session and how well it went.
+    """Contents and results of a session.
 
     Attributes:
         files_bytes: path of each file -> size, oldest first.
         complete: whether all files are there and were closed properly.
         first_ns, last_ns: log times of the first and the last message, since the epoch; the last as
             if the clock had not been set in between.
-        simulated: whether its times are a simulation's, as in a rollout, and not of any clock.
-        host, domain, interface: where it was recorded, or streamed.
-        versions: of g1stream and the packages that it used.
-        motion: what was played.
-        attached: how it was found, where it was attached afterwards.
-        log: what was made of the log of another program; empty of a session.
-        params: parameters of the robot that were given; None for the default ones.
-        settings: those that are not the defaults, keyed like `stream.rate`.
+        simulated: whether its times are simulated, as in a rollout.
+        host, domain, interface: where it was recorded or streamed.
+        versions: versions of g1stream and the packages that it used.
+        motion: the motion that was played.
+        attached: how the motion was found, if it was attached afterwards.
+        log: how another program's log was interpreted; empty for a session.
+        params: given parameters of the robot; None for the default ones.
+        settings: settings that differ from the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
-        joints: names of those that played the motion; None where that is not known.
-        absent: names of those that the robot does not have.
+        joints: names of the joints that played the motion; None if unknown.
+        absent: names of the joints that the robot lacks.
         phases: in order.
         termination: how it ended.
-        feedforward_log: what was logged of feed-forward, also by a stream that was killed.
-        recorder: what the recorder counted.
-        tracking: how closely the robot followed.
-        worst: the greatest error of a joint, and its cause.
-        spoilt_by_ms: the longest time for which the robot's own time stood still or leapt in PLAY,
-            above 40 ms and where nothing held the pelvis: the run tells nothing of its controller.
-        success, terminations: of a robot that nothing held; only `g1stream info` fills them in,
-            from `metrics`.
-        topics: the messages of each topic.
+        feedforward_log: log messages about feed-forward, also of a killed stream.
+        recorder: counters of the recorder.
+        tracking: the tracking error.
+        worst: the largest error of a joint, and its cause.
+        spoilt_by_ms: longest stop or jump of the robot's own time in PLAY, if above 40 ms and if
+            nothing held the pelvis; the run then does not show the quality of its controller.
+        success, terminations: for a robot that nothing held; only `g1stream info` sets them, from
+            `metrics`.
+        topics: statistics of each topic's messages.
         attachments_bytes: name -> size.
-        problems: what is wrong, a sentence each, the most important first.
-        stream: what the stream counted.
+        problems: problems, a sentence each, the most important first.
+        stream: counters of the stream.
     """
 
     files_bytes: dict[str, Int] = {}
@@ -472,7 +470,7 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
                 f"{math.degrees(tracking.joints[worst].rmse_rad):.3f}",
             )
         )
-    excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
+    excluded = f"; {tracking.excluded_states} in gaps of the reference excluded"
     compared = (
         f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
         + (excluded if tracking.excluded_states else "")

@@ -73,7 +73,7 @@ def live(config: Config | None = None, *, motion: Motion | None = None) -> Itera
             g1stream.stream("demo")
 
     Args:
-        config: all settings; the defaults if left out.
+        config: all settings; the defaults if omitted.
         motion: motion that another controller plays without publishing references. References are
             shown once the motion is found in the commands or in the measured joints.
 

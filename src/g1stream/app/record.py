@@ -57,7 +57,7 @@ def record(
 
     Args:
         path: session file; its directory must exist. A file without samples is removed.
-        config: all settings; the defaults if left out.
+        config: all settings; the defaults if omitted.
         force: replace an existing file.
         session: motion that a stream is about to play, for the metadata. The recorder then calls
             `on_ready` only after it is matched with the stream, and `record.auto_name` has no

@@ -107,7 +107,7 @@ EXIT_BAD_INPUT: Final = 2
 _HELP: Final = """\
 usage: g1stream [-h] [--version] COMMAND ...
 
-Play a reference motion on a Unitree G1 over DDS, and measure the tracking.
+Play a reference motion on a Unitree G1 over DDS and measure the tracking error.
 
 commands:
 {commands}

@@ -60,12 +60,12 @@ RecordingT = TypeVar("RecordingT", bound="Recording")
 
 
 class Message(NamedTuple):
-    """One message as it is in the file.
+    """One message of the file.
 
     Attributes:
-        log_time: when the recorder received it, ns since the epoch.
-        publish_time: when its producer published it, ns since the epoch.
-        data: its bytes; of a DDS topic exactly those of the sample, CDR header included.
+        log_time: time of reception by the recorder, ns since the epoch.
+        publish_time: time of publication by its producer, ns since the epoch.
+        data: its bytes; for a DDS topic exactly those of the sample, including the CDR header.
     """
 
     log_time: int
@@ -74,7 +74,7 @@ class Message(NamedTuple):
 
 
 def once(make: Callable[[Recording], T]) -> Callable[[Recording], T]:
-    """Decorate what is computed of a recording: the result is kept as long as the recording."""
+    """Cache the result of a function of a recording, as long as the recording exists."""
 
     @wraps(make)
     def kept(recording: Recording) -> T:
@@ -93,7 +93,7 @@ def has_essentials(topics: Mapping[str, int]) -> bool:
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open a session file, also one whose recorder was killed, to read what was recorded.
+    """Open a session file, also one whose recorder was killed, without analysis.
 
     Args:
         path: of a session file, or of the directory of a split recording.
@@ -111,17 +111,17 @@ class Recording:
     RecordingError where the file is damaged, or a topic that it needs is not in this session.
 
     Args:
-        source: what it is read from; `open_recording` gives the files on disk.
+        source: source of the data; `open_recording` uses the files on disk.
 
     Attributes:
         source: as given.
-        path: of the file or directory; of a session in memory only a name.
-        paths: of the file or its parts, oldest first; empty in memory.
-        absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
-        complete: whether everything is there and was closed properly.
-        unread: bytes at the ends of files that are no whole record, as after a power cut.
+        path: path of the file or directory; for a session in memory only a name.
+        paths: paths of the file or its parts, oldest first; empty in memory.
+        absent_parts: reason, a sentence, by the number of each missing or unreadable part.
+        complete: whether all files exist and were closed properly.
+        unread: bytes at the ends of files that are incomplete records, as after a power failure.
         topics: number of messages by topic, in the whole session.
-        metadata: what stream and recorder wrote about the session.
+        metadata: metadata from stream and recorder.
         computed: results of functions decorated with `once`.
 
     Raises:
@@ -179,17 +179,17 @@ class Recording:
 
     @property
     def base(self) -> BaseStream | None:
-        """Position of the pelvis; None where it was not published, as by a real robot."""
+        """Position of the pelvis; None if it was not published, for example by a real robot."""
         return self.stream(BaseStream) if self.topics.get(BaseStream.topic) else None
 
     @property
     def torso_imu(self) -> TorsoImuStream | None:
-        """The IMU in the torso; None where it was not published."""
+        """The IMU in the torso; None if it was not published."""
         return self.stream(TorsoImuStream) if self.topics.get(TorsoImuStream.topic) else None
 
     @property
     def policy(self) -> PolicyStream | None:
-        """The steps of a learned policy; None where none played."""
+        """The steps of a learned policy; None if no policy played."""
         if not self.topics.get(PolicyStream.topic):
             return None
         stream = self.stream(PolicyStream)
@@ -205,7 +205,7 @@ class Recording:
 
     @cached_property
     def attached(self) -> AttachedInfo | None:
-        """How the reference was found, where it was attached afterwards; None elsewhere."""
+        """How the reference was found, if it was attached afterwards; otherwise None."""
         info, _ = read_record(AttachedInfo, self.metadata.get("attached"), "attached")
         return info
 
@@ -284,7 +284,7 @@ class Recording:
 
     @cached_property
     def robot(self) -> G1:
-        """The robot of the attached URDF; the default one where none is attached.
+        """The robot of the attached URDF; the default one without an attached URDF.
 
         Raises:
             RobotError: the URDF cannot be used.
@@ -366,9 +366,9 @@ class Recording:
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
-        That is when the motion's first frame was or would have been published; where nothing was
-        played, the first sample of the reference, or else of the commands or the state; of a
-        converted motion, its first frame.
+        It is the publish time of the motion's first frame, even if that was not played. If no
+        motion was played, it is the first sample of the reference, the commands or the state. For
+        a converted motion it is the first frame.
         """
         if self._whole is not None:
             return self._whole.start_ns
@@ -381,8 +381,8 @@ class Recording:
     def phases(self) -> list[PhaseInterval]:
         """The phases in order, in s on the motion's clock: its first frame is at 0.
 
-        Each lasts until the next one begins, the last until the last sample of the reference.
-        Empty where there is no reference.
+        Each lasts until the next one begins, and the last until the last sample of the reference.
+        It is empty without a reference.
 
         Raises:
             RecordingError: a number stands for no phase.
@@ -398,8 +398,8 @@ class Recording:
         metadata and attachments are those of the whole session.
 
         Args:
-            phase: such as `"PLAY"`.
-            time: s on the motion's clock, such as `slice(2.0, 5.0)`, both included.
+            phase: name of a phase, such as `"PLAY"`.
+            time: s on the motion's clock, such as `slice(2.0, 5.0)`, including both ends.
 
         Raises:
             RecordingError: there is no phase of this name.

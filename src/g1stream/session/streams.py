@@ -209,10 +209,9 @@ class Stream:
     def clock_offset(self) -> int:
         """Offset to add to publish times to get the recorder's clock, ns.
 
-        No message arrives before it is sent, and few take longer than 20 ms: if half of them seem
-        to, producer and recorder have clocks that differ. The median of log_time - publish_time is
-        then taken for the difference; it is too large by the usual latency, which nobody can tell
-        from it.
+        No message arrives before it is sent, and few take longer than 20 ms. If half of them seem
+        to, the clocks of producer and recorder differ. The offset is then the median of log_time -
+        publish_time, which is too large by the usual latency; the two cannot be separated.
         """
         if not len(self):
             return 0
@@ -321,19 +320,19 @@ class PolicyStream(Stream):
 
     Attributes:
         tick: (N,) of the Reference beside that command.
-        step: (N,) since the policy took the robot over, at 0.
-        repeated: (N,) how often in a row the last finite action has stood in for one that is not; 0
-            for a finite one.
-        state_published: (N,) uint64, ns since the epoch: the `publish_time` of the LowState that
-            was observed; 0 where that is not known.
+        step: (N,) step of the policy, 0 when it took over the robot.
+        repeated: (N,) number of consecutive repetitions of the last finite action because the new
+            one was not finite; 0 for a finite action.
+        state_published: (N,) uint64, ns since the epoch: `publish_time` of the observed LowState;
+            0 if unknown.
         state_received: (N,) uint64, ns since the epoch, when the streamer received it.
-        state_age: (N,) s from then to the observation.
-        motion_time: (N,) s, of the reference that was observed.
+        state_age: (N,) s from its reception to the observation.
+        motion_time: (N,) s, of the observed reference.
         inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
-        n_observation: (N,) how many values are observed.
-        observation: (N, K) float32, as the network took it.
-        action: (N, 29) float32, as the network gave it, motor order.
-        terms: by name, the columns of `observation`; empty where the session does not tell.
+        n_observation: (N,) number of observed values.
+        observation: (N, K) float32, input of the network.
+        action: (N, 29) float32, output of the network, motor order.
+        terms: columns of `observation` by term; empty if they are unknown.
     """
 
     topic = "/policy"
@@ -505,9 +504,9 @@ class LogEvent(NamedTuple):
 
     Attributes:
         time: when it happened, ns since the epoch.
-        level: DEBUG, INFO, WARNING, ERROR or FATAL; UNKNOWN where it is none of these.
-        name: the program that logged it.
-        text: what happened.
+        level: DEBUG, INFO, WARNING, ERROR or FATAL; otherwise UNKNOWN.
+        name: name of the program that logged it.
+        text: the message.
     """
 
     time: int

@@ -93,7 +93,7 @@ class MotionRow(Record):
     looks_like: str | None = column("likely fault if a limit is exceeded")
     max_speed: float | None = column("highest joint speed", "rad/s")
     max_tilt: float | None = column("largest tilt of the pelvis", "rad")
-    max_collision: float | None = column("largest depth of two links in each other", "mm")
+    max_collision: float | None = column("largest penetration depth of two links", "mm")
     max_penetration: float | None = column("largest depth of a foot below the floor", "mm")
     max_skating: float | None = column("highest speed of a foot on the floor", "mm/s")
     least_margin: float | None = column(

@@ -51,7 +51,7 @@ from g1stream.types import Floats, StreamSupport, Support
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
 # Limits, and the longest time beyond them; docs/physics.md explains the values.
-_TOUCHING: Final = 1.0  # depth of two links in each other, mm
+_TOUCHING: Final = 1.0  # penetration depth of two links, mm
 _DEEP: Final = 10.0  # depth of two links that forbids a motion, mm
 _OUTSIDE: Final = 10.0  # distance of the centre of pressure outside of the support polygon, mm
 _UNSUPPORTED: Final = 0.2  # force without a contact that can exert it, over the weight
@@ -72,7 +72,7 @@ class _Frames(NamedTuple):
     speeds: Floats  # (T, 8) m/s, horizontal
     # Height (T,) of each link's lowest point, m, without the feet; infinite above the floor.
     heights: dict[str, Floats]
-    # Depth (T,) of each pair of links in each other, m.
+    # Penetration depth (T,) of each pair of links, m.
     depths: dict[tuple[str, str], Floats]
 
 

@@ -50,7 +50,7 @@ class Excess(Record, frozen=True):
     """A quantity that is beyond its limit in some frames.
 
     Attributes:
-        cause: self-collision: depth of two links in each other. torque: of a joint. tilt: of the
+        cause: self-collision: penetration depth of two links. torque: of a joint. tilt: of the
             pelvis. floor contact: depth of a link other than a foot below the floor. support: force
             that no contact can exert, because no foot is on the floor, or because the floor would
             have to pull. centre of pressure: distance outside of the support polygon. friction: the
@@ -150,14 +150,14 @@ class Foot(Record, frozen=True):
 
 
 class Collision(Record, frozen=True):
-    """Two links in each other.
+    """Two links that penetrate each other.
 
     Attributes:
         link, other: names of the links.
         depth_mm: largest distance that one must be moved until they only touch.
         frame: frame of that depth.
         time_s: time of that frame.
-        spans: first and last frame of each run in which they are in each other.
+        spans: first and last frame of each run in which they penetrate.
         simulated: whether Unitree's simulators and g1stream's let these links collide.
     """
 

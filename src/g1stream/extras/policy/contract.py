@@ -230,13 +230,13 @@ def _sources(network: Network) -> Iterator[_Facts]:
         yield _facts(str(own), lambda: _of_toml(own))
     if "observation_names" in network.metadata:
         yield _facts(told, lambda: _of_tracking(network.metadata))
-        yield _Facts("default of whole_body_tracking and mjlab", {"rate": 50.0})
+        yield _Facts("assumed: default of whole_body_tracking and mjlab", {"rate": 50.0})
     elif "dof_names" in network.metadata:
         yield _facts(told, lambda: _of_holosoma(network.metadata))
     deploy = network.path.with_name("deploy.yaml")
     if deploy.exists():
         yield _facts(str(deploy), lambda: _of_deploy(deploy))
-        yield _Facts("default of Unitree's runner", {"anchor": "torso_link"})
+        yield _Facts("assumed: default of Unitree's runner", {"anchor": "torso_link"})
 
 
 def _facts(where: str, read: Callable[[], dict[str, Any]]) -> _Facts:

@@ -13,7 +13,7 @@ from g1stream.cli.progress import showing_progress
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(SettingsCommand, MotionFlags):
-    """Checks whether physics allows to play a motion bolted, hanging, with a guided pelvis or free.
+    """Checks how a motion can physically be played: bolted, hanging, with a guided pelvis or free.
 
     It prints contacts and skating of the feet, self-collision, centre of pressure, tilt, torques
     and the frames that forbid the motion. It also prints whether `stream --support feet` can play

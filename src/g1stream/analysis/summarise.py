@@ -245,7 +245,7 @@ def find_problems(summary: Summary) -> Iterator[str]:
     """The problems that the summary shows, a sentence each, the most important first."""
     undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
     if undamped is not None:
-        yield f"The stream process ended in {undamped.name} without DAMP and did not damp the robot."
+        yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
     if guard := summary.termination.guard:
         yield f"{guard[0].upper()}{guard[1:]}."
     if spoilt := summary.spoilt_by_ms:

@@ -133,7 +133,7 @@ def test_where_the_simulator_lets_them_be_that_is_no_cause():
 def test_a_motor_at_its_limit():
     found = cause(played(motion(PITCH, swing(0.8, 4.0))))
     assert (found.joint, found.cause) == ("left_shoulder_pitch_joint", "torque")
-    assert "the 25 N·m" in found.why
+    assert "limit 25 N·m" in found.why
 
 
 def test_targets_that_are_held_back():

@@ -47,7 +47,7 @@ def test_what_was_found_is_printed_and_written(theirs, tmp_path, capsys):
 def test_without_out_nothing_is_written(theirs, capsys):
     before = sorted(theirs.parent.iterdir())
     assert main(["attach", str(theirs), "demo"]) == 0
-    assert "of the motion, from 3.0" in capsys.readouterr().out
+    assert "of the motion, starting 3.0" in capsys.readouterr().out
     assert sorted(theirs.parent.iterdir()) == before
 
 

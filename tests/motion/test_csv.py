@@ -179,7 +179,7 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
     (warning,) = motion.warnings
     for words in ("clip.csv", "2 of 4 quaternions", "frame 2, line 4", f"{scale:g}"):
         assert words in warning
-    assert ("no rounding error" in warning) is doubted
+    assert ("not a rounding error" in warning) is doubted
     np.testing.assert_allclose(np.linalg.norm(motion.root_quat_wxyz, axis=1), 1.0, atol=1e-15)
 
 
@@ -209,7 +209,7 @@ EULER = ("root_rotateX", "root_rotateY", "root_rotateZ", *(f"{n}_dof" for n in J
         (changed(1, 8, "W"), "line 1", ["QW"]),
         (changed(1, 12, ""), "line 1, column 12", ["empty name"]),
         (changed(1, 3, "X"), "line 1, column 3 (X)", ["same name"]),
-        (csv(rows_of(5)).replace(",", ";"), "line 1", ["names of the joints"]),
+        (csv(rows_of(5)).replace(",", ";"), "line 1", ["joint names"]),
         (csv([[1] * 32], EULER), "line 1", ["Euler angles", "degrees", "root_rotateX"]),
         (csv([]), "", ["no frame"]),
         (csv(rows_of(1)), "", ["1 frame"]),

@@ -50,7 +50,7 @@ def test_a_real_dance_is_played_as_it_is(real_clip):
         (lambda m: replace(m, joint_pos=np.degrees(m.joint_pos)), MotionError, "in degrees"),
         (lambda m: with_knee(m, slice(100, 101), 2.4), SafetyError, "frame 100 were a spike"),
         (lambda m: with_knee(m, slice(200, None), 1.0), SafetyError, "joined: .* 199 to 200"),
-        (lambda m: replace(m, fps=300.0), SafetyError, "left_knee_joint for .* rad/s"),
+        (lambda m: replace(m, fps=300.0), SafetyError, "left_knee_joint at .* rad/s"),
         (lambda m: replace(m, joint_pos=m.joint_pos + 1.5), SafetyError, "rad in frame"),
     ],
 )

@@ -97,9 +97,9 @@ def test_warnings_snapshot(spike, robot):
     """The snapshot of this renderer."""
     report = measured(spike, robot, position_margin=0.1)
     assert report.warnings == (
-        "made asks left_knee_joint for 9.000 rad at 3.00 s, limit 2.780 less a margin of 0.1; also "
-        f"left_elbow_joint. {report.n_held} joint targets at 500 Hz held at the limit.",
-        f"made asks left_knee_joint for {report.too_fast[0].value:.1f} rad/s at "
+        "made moves left_knee_joint to 9.000 rad at 3.00 s, limit 2.780 less a margin of 0.1; also "
+        f"left_elbow_joint. {report.n_held} joint targets at 500 Hz clamped to the limit.",
+        f"made moves left_knee_joint at {report.too_fast[0].value:.1f} rad/s at "
         f"{report.too_fast[0].time:.2f} s, limit 20; also left_elbow_joint. Joints that cannot "
         "follow lag behind.",
     )

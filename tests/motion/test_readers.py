@@ -56,7 +56,7 @@ def test_a_directory_is_told_from_a_bag(tmp_path):
 def test_what_is_in_no_format_is_told_the_formats(tmp_path, content):
     path = tmp_path / "motion"
     path.write_bytes(content)
-    with pytest.raises(MotionError, match="in no format that is read") as caught:
+    with pytest.raises(MotionError, match="no supported format") as caught:
         load_motion(path)
     assert all(one.name in caught.value.remedy for one in FORMATS)
 

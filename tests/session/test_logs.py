@@ -134,9 +134,9 @@ def test_joints_that_a_log_lacks_are_absent(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "told"),
     [
-        (named("{}", Q), "no column of rising times"),
-        ({"time": TIME[::-1], **named("{}", Q)}, "no column of rising times"),
-        ({"time": TIME, "voltage": TIME}, "no column with the position of a joint"),
+        (named("{}", Q), "no column of increasing times"),
+        ({"time": TIME[::-1], **named("{}", Q)}, "no column of increasing times"),
+        ({"time": TIME, "voltage": TIME}, "no column with a joint position"),
         ({"time": TIME, **{f"q_{i + 1}": Q[:, i] for i in range(29)}}, "counted from 1"),
     ],
 )

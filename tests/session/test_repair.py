@@ -152,7 +152,7 @@ def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, s
         assert damaged.unread >= len(content) - (chunk.start - 9)
     else:
         assert sum(counts.values()) > before.total()
-    assert "are no whole record" in " ".join(damaged.summary().problems)
+    assert "are an incomplete record" in " ".join(damaged.summary().problems)
     (done,) = repair_session(path)
     assert (done.messages, done.dropped) == (sum(counts.values()), damaged.unread)
     repaired = open_session(path)

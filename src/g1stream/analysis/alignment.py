@@ -1,9 +1,9 @@
-"""When a motion was played, found in recorded joint positions.
+"""Find when a motion was played in recorded joint positions.
 
-The joints' velocities of the recording are compared with those of the motion: short windows of one
-with all windows of the other, by normalised cross-correlation. A play of the motion is a straight
-line in that table, as time in the motion goes on with time in the recording. Offset and speed of
-the line then follow from least squares on the joint positions.
+Joint velocities of the recording are compared with those of the motion by normalised
+cross-correlation: short windows of one with all windows of the other. A playback of the motion is a
+straight line in that table, because time in the motion advances with time in the recording. Least
+squares on the joint positions then gives the line's offset and speed.
 """
 
 from __future__ import annotations
@@ -26,48 +26,48 @@ if TYPE_CHECKING:
 
 __all__ = ["Alignment", "Play", "find_plays"]
 
-#: A longer time without samples parts two recordings, and a shorter recording tells nothing, s.
+#: A longer gap without samples separates two recordings; shorter recordings are ignored, s.
 _PAUSE, _SHORTEST = 60.0, 1.0
-#: Steps a second at which velocities are compared.
+#: Sampling rate for comparing velocities, Hz.
 _RATE: Final = 25
-#: Length of a window, s, and how many times it fits into a short motion at least.
+#: Length of a window, s, and the least number of windows in a short motion.
 _WINDOW, _FEWEST_WINDOWS = 2.0, 2
-#: The most pairs of windows that are compared at one speed, and at each other speed that is tried.
+#: Most pairs of windows to compare at speed 1, and at each other speed.
 _PAIRS, _FEWER_PAIRS = 4_000_000, 400_000
 _BLOCK: Final = 4096
-#: Speeds that are tried where the motion was not played as it is: 0.25 to 4.
+#: Speeds that are tried if the motion was not played at its own speed: 0.25 to 4.
 _SPEEDS: Final = tuple(
     sorted((1.1**i for i in range(-14, 15) if i), key=lambda speed: abs(np.log(speed)))
 )
-#: Velocities below these are rest: the root mean square over the joints, rad/s, and of one joint.
+#: Velocities below these are rest: RMS over the joints, and of one joint, rad/s.
 _REST, _JOINT_RESTS = 0.05, 0.05
-#: Places in the table that are looked at more closely, and s between them.
+#: Number of places in the table that are refined, and the time between them, s.
 _CANDIDATES, _APART = 6, 0.5
-#: Share of the best place's score, from which on another is looked at.
+#: Places with at least this fraction of the best score are refined.
 _WORTH: Final = 0.2
-#: Least squares: samples at most, the first time span on either side, s, steps for each span, and
-#: how much longer the next one is.
+#: Least squares: most samples, first time span on either side, s, steps for each span, and the
+#: growth factor of the span.
 _SAMPLES, _FIRST_SPAN, _STEPS, _GROWTH = 600, 2.0, 5, 1.6
-#: No speed is lower, or higher than its inverse.
+#: Lowest speed; the highest is its inverse.
 _SLOWEST: Final = 0.2
-#: A joint, or a second of all joints, follows the motion where velocities correlate by more.
+#: A joint, or a second of all joints, follows the motion if velocities correlate by more.
 _FOLLOWS: Final = 0.5
-#: The least similarity of a play, by its length, s. Windows of other motions reach 0.9 for 3 s.
+#: Least similarity of a playback, by its length, s. Other motions reach 0.9 for 3 s.
 _SECONDS, _SIMILAR = (0.0, 3.0, 6.0, 10.0), (1.0, 0.96, 0.85, 0.7)
-#: Another place in the motion is as good where it has this share of the best one's similarity.
+#: Another place is as good as the best if its similarity is at least this fraction of the best.
 _RIVAL: Final = 0.9
 
 
 class Play(NamedTuple):
-    """One time that a motion was played.
+    """One playback of a motion.
 
     Attributes:
-        start: s, when the motion's first frame was or would have been played, on the clock of the
-            recorded samples.
-        speed: seconds of the motion in a second of that clock.
-        first, last: s, the part of the motion that was played.
-        similarity: -1 to 1, the normalised cross-correlation of all joints' velocities in it.
-        rmse: rad, of the joints that follow, without the mean error of each.
+        start: time of the motion's first frame, even if that was not played, s, on the clock of
+            the recorded samples.
+        speed: seconds of the motion per second of that clock.
+        first, last: the played part of the motion, s.
+        similarity: -1 to 1, normalised cross-correlation of all joint velocities in that part.
+        rmse: RMSE of the joints that follow, without each joint's mean error, rad.
         joints: (29,) which joints follow.
     """
 
@@ -81,12 +81,12 @@ class Play(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """How much of the motion was played, s of the motion."""
+        """Length of the played part, s of the motion."""
         return self.last - self.first
 
     @property
     def span(self) -> tuple[float, float]:
-        """From when to when it was played, s on the clock of the samples."""
+        """Start and end of the playback, s on the clock of the samples."""
         return self.start + self.first / self.speed, self.start + self.last / self.speed
 
     @property
@@ -96,14 +96,14 @@ class Play(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """Where a motion is in a recording.
+    """The playbacks of a motion in a recording.
 
     Attributes:
-        plays: of the motion, in order of time; empty where there is none.
-        best: of them, the one that explains most.
-        rival: another place in the motion for the time of the best play; None where none is
-            similar. It is the best place of all where there is no play.
-        ambiguous: whether the rival is as good as the play.
+        plays: all playbacks, in order of time; may be empty.
+        best: the playback with the most similarity times length.
+        rival: another place in the motion for the time of the best playback; None if no other is
+            similar. Without any playback it is the most similar place.
+        ambiguous: whether the rival is as good as the best playback.
     """
 
     plays: tuple[Play, ...]
@@ -115,16 +115,15 @@ class Alignment(NamedTuple):
 def find_plays(
     times: Floats, q: Floats, trajectory: Trajectory, *, any_speed: bool = True
 ) -> Alignment:
-    """Find each time that a motion was played.
+    """Find all playbacks of a motion.
 
     Args:
-        times: (N,) s, rising.
+        times: (N,) s, increasing.
         q: (N, 29) rad, motor order: measured positions, or the targets of commands.
         trajectory: the motion.
-        any_speed: whether speeds from a quarter to four times are tried where it was not played at
-            its own.
+        any_speed: try speeds from a quarter to four times if it was not played at its own speed.
     """
-    # A clock may have been set by years.
+    # A clock may have been stepped by years.
     pauses = np.flatnonzero(np.diff(times) > _PAUSE) + 1
     signals = [
         _Signal(times[part], q[part])
@@ -135,7 +134,7 @@ def find_plays(
     plays = sorted(_distinct(filter(_is_play, found)), key=lambda play: play.span)
     best = max(plays, key=lambda play: play.explained, default=None)
     others = found
-    if best:  # one that has converged less well is no other place
+    if best:  # the same place with worse convergence is no other place
         others = [one for one in found if _overlap(one, best) and not _is_same(one, best)]
     rival = max(others, key=lambda one: one.explained, default=None)
     ambiguous = bool(best and rival and rival.explained >= _RIVAL * best.explained)
@@ -143,17 +142,17 @@ def find_plays(
 
 
 def _search(signal: _Signal, trajectory: Trajectory, any_speed: bool) -> list[Play]:
-    """What is similar to the motion: plays, and other places at the times of these."""
+    """Places that are similar to the motion: playbacks, and other places at the same times."""
     found: list[Play] = []
     for speeds, pairs in (((1.0,), _PAIRS), (_SPEEDS if any_speed else (), _FEWER_PAIRS)):
         while new := _best_places(signal, trajectory, speeds, pairs):
             found += new
             free = int(signal.free.sum())
-            for play in filter(_is_play, new):  # and then what else there is
+            for play in filter(_is_play, new):  # then search the remaining time
                 signal.set_aside(play)
             if signal.free.sum() == free:
                 break
-        # A short one may be by chance, and another speed explain more.
+        # A short match may be chance, and another speed may explain more.
         explained = sum(play.explained for play in _distinct(filter(_is_play, found)))
         if explained > 0.5 * min(signal.moving, trajectory.duration):
             break
@@ -163,7 +162,7 @@ def _search(signal: _Signal, trajectory: Trajectory, any_speed: bool) -> list[Pl
 def _best_places(
     signal: _Signal, trajectory: Trajectory, speeds: Sequence[float], pairs: int
 ) -> list[Play]:
-    """What is most similar to the motion at some speeds, each place once."""
+    """The most similar places at some speeds, without duplicates."""
     places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
     places.sort(key=lambda place: -place.score)
     found: list[Play] = []
@@ -177,7 +176,7 @@ def _best_places(
 
 
 def _distinct(plays: Iterable[Play]) -> list[Play]:
-    """Of plays at the same time the best, best first."""
+    """The best of the playbacks at each time, best first."""
     found: list[Play] = []
     for play in sorted(plays, key=lambda play: -play.explained):
         if not any(_overlap(play, other) for other in found):
@@ -203,19 +202,19 @@ class _Signal:
     """Recorded joints.
 
     Attributes:
-        times, q: as given.
+        times, q: as in the constructor.
         grid: (T,) s, `_RATE` a second.
-        dq: (T, 29) rad/s at it.
-        known: (T,) whether samples are near.
-        free: (T,) whether no play has been found there.
-        moving: s in which the joints move.
-        joints: (29,) which joints move then.
+        dq: (T, 29) rad/s on the grid.
+        known: (T,) whether there are samples nearby.
+        free: (T,) whether no playback was found there.
+        moving: total time in which the joints move, s.
+        joints: (29,) which joints move in that time.
     """
 
     def __init__(self, times: Floats, q: Floats) -> None:
         self.times, self.q = times, q
         self.grid = np.arange(times[0], times[-1], 1.0 / _RATE)
-        # The mean of each step, which has less noise than the sample at it.
+        # The mean over each step, which has less noise than the sample at it.
         edges = np.append(self.grid, self.grid[-1] + 1.0 / _RATE) - 0.5 / _RATE
         steps = 0.5 * (q[1:] + q[:-1]) * np.diff(times)[:, np.newaxis]
         total = np.vstack([np.zeros(q.shape[1]), np.cumsum(steps, axis=0)])
@@ -232,13 +231,13 @@ class _Signal:
         )
 
     def set_aside(self, play: Play) -> None:
-        """Look for the motion elsewhere from now on."""
+        """Exclude the time of a playback from the search."""
         start, end = play.span
         self.free[(self.grid >= start) & (self.grid <= end)] = False
 
 
 def _extended(at: Floats, times: Floats, total: Floats, q: Floats) -> Floats:
-    """The integral (N, 29) of positions q (N, 29) at any times; outside of theirs they rest."""
+    """The integral (N, 29) of positions q (N, 29) at any times; positions rest outside `times`."""
     found = interpolated(at, times, total)
     found += np.minimum(at - times[0], 0.0)[:, np.newaxis] * q[0]
     found += np.maximum(at - times[-1], 0.0)[:, np.newaxis] * q[-1]
@@ -246,13 +245,13 @@ def _extended(at: Floats, times: Floats, total: Floats, q: Floats) -> Floats:
 
 
 def _velocities(q: Floats) -> Floats:
-    """(T, 29) rad/s of positions at the grid's rate; of both sides in the same way."""
+    """(T, 29) rad/s from positions at the grid's rate; the same method for both sides."""
     dq: Floats = np.gradient(q, 1.0 / _RATE, axis=0)
     return dq
 
 
 class _Place(NamedTuple):
-    """A line in the table of windows: `centre` s in the recording, where it is most similar."""
+    """A line in the table of windows. `centre` is its most similar point, s in the recording."""
 
     score: float
     start: float
@@ -280,7 +279,7 @@ def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) ->
     for first in range(0, n_motion, _BLOCK):
         columns = np.arange(first, min(first + _BLOCK, n_motion))
         similar[:, columns] = ours @ _normalised(dq[:, moving], length, columns).T
-    # Cubed, as many windows that are a little similar are worth less than one that is.
+    # Cubed, because one similar window is worth more than many slightly similar ones.
     weight = np.clip(similar, 0.0, None) ** 3
     lags = rows[:, np.newaxis] - np.arange(n_motion)
     lowest = int(lags.min())
@@ -303,7 +302,7 @@ def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) ->
 def _windows(
     signal: _Signal, moving: NDArray[np.bool_], length: int, most: int
 ) -> NDArray[np.intp]:
-    """The first rows of windows of the recording in which something moves, evenly spread."""
+    """First rows of the recording's windows in which joints move, evenly spaced."""
     speed = np.sqrt(np.square(signal.dq[:, moving]).mean(axis=1))
     total = np.concatenate([[0.0], np.cumsum(speed)])
     known = np.concatenate([[0], np.cumsum(signal.known & signal.free)])
@@ -314,7 +313,7 @@ def _windows(
 
 
 def _normalised(dq: Floats, length: int, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    """(R, length * J) the windows that begin at some rows, of norm 1, or 0 where nothing moves."""
+    """(R, length * J) windows that begin at some rows, with norm 1, or 0 without movement."""
     windows = sliding_window_view(dq.astype(np.float32), length, axis=0)[rows]
     flat = windows.reshape(len(rows), -1)
     norm = np.linalg.norm(flat, axis=1, keepdims=True)
@@ -324,10 +323,10 @@ def _normalised(dq: Floats, length: int, rows: NDArray[np.intp]) -> NDArray[np.f
 
 
 def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play | None:
-    """The play at a place, by least squares over a span that grows from where it is most similar.
+    """Refine a place by least squares over a span that grows from its most similar point.
 
-    The speed must only be so right at first that the span's ends are off by a fraction of a
-    movement; the longer the span, the more exactly it is known.
+    The initial speed must be accurate enough that the ends of the span are off by only a
+    fraction of a movement. A longer span gives a more accurate speed.
     """
     start, speed, span = place.start, place.speed, _FIRST_SPAN
     joints = signal.joints
@@ -345,7 +344,7 @@ def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play | N
             return None
         span *= _GROWTH
     play = _measure(signal, trajectory, start, speed)
-    for _ in range(2):  # without what is not of the play
+    for _ in range(2):  # without the samples outside the playback
         if play is None:
             return None
         better = _least_squares(signal, trajectory, play.joints, play[:2], play.span)
@@ -362,10 +361,10 @@ def _least_squares(
     place: tuple[float, float],
     span: tuple[float, float],
 ) -> tuple[float, float] | None:
-    """A better start and speed, by one step of Gauss and Newton; None where nothing tells.
+    """Improve start and speed by a Gauss-Newton step; None if there is no information.
 
-    Each joint has a mean error of its own. Samples that are far off count less (Cauchy's weights):
-    what is not of the motion must not move it.
+    Each joint has its own mean error. Samples far off have a low weight (Cauchy), because samples
+    from outside the motion must not affect the result.
     """
     start, speed = place
     inside = slice(*np.searchsorted(signal.times, span))
@@ -381,7 +380,7 @@ def _least_squares(
     size = np.sqrt(np.square(error[:, joints]).mean(axis=1))
     scale = max(2.0 * float(np.median(size)), 1e-6)
     weight = 1.0 / (1.0 + np.square(size / scale))
-    # The time in the motion at the middle of the span and the speed, which are independent.
+    # The parameters are the motion time at the span's middle, and the speed: independent.
     away = (times - middle)[:, np.newaxis]
     root = np.sqrt(weight)[:, np.newaxis]
     by_time, by_speed, wanted = (
@@ -399,7 +398,7 @@ def _least_squares(
 
 
 def _measure(signal: _Signal, trajectory: Trajectory, start: float, speed: float) -> Play | None:
-    """What of the motion was played at a place, and how similar it is."""
+    """Measure which part of the motion was played at a place, and its similarity."""
     inside = (signal.grid >= start) & (signal.grid <= start + trajectory.duration / speed)
     if inside.sum() < _RATE:
         return None
@@ -427,7 +426,7 @@ def _measure(signal: _Signal, trajectory: Trajectory, start: float, speed: float
 
 
 def _longest_following(ours: Floats, theirs: Floats, at: Floats) -> slice | None:
-    """The rows in which velocities (T, 29) follow others: of all ranges the one with most."""
+    """The range of rows with the most similarity, in which velocities (T, 29) follow others."""
     n = min(_RATE, len(at))
     kernel = np.ones(n)
 
@@ -441,14 +440,14 @@ def _longest_following(ours: Floats, theirs: Floats, at: Floats) -> slice | None
     gain = np.where((own < rest) & (other < rest), 0.0, similar) * np.diff(at, append=at[-1])
     total = np.concatenate([[0.0], np.cumsum(gain)])
     lowest = np.minimum.accumulate(total)
-    # Rest at either end belongs to the play, as nothing tells otherwise.
+    # Rest at either end belongs to the playback, because there is no evidence against it.
     end = len(total) - 1 - int((total - lowest)[::-1].argmax())
     begin = int(total[: end + 1].argmin())
     return slice(begin, end) if end - begin >= _RATE // 2 else None
 
 
 def _following(ours: Floats, theirs: Floats) -> NDArray[np.bool_]:
-    """(29,) which velocities (T, 29) follow others; a joint that rests in both does, too."""
+    """(29,) which velocities (T, 29) follow others; a joint that rests in both follows."""
     total, other = np.square(ours).sum(axis=0), np.square(theirs).sum(axis=0)
     correlation = (ours * theirs).sum(axis=0) / np.sqrt(total * other + 1e-12)
     rests = np.maximum(total, other) < _JOINT_RESTS**2 * len(ours)
@@ -458,7 +457,7 @@ def _following(ours: Floats, theirs: Floats) -> NDArray[np.bool_]:
 def _errors(
     signal: _Signal, trajectory: Trajectory, place: tuple[float, float], part: Sequence[float]
 ) -> Floats:
-    """(N, 29) rad, the motion minus what was recorded, in a part of the motion, s."""
+    """(N, 29) rad, motion minus recording, in a part of the motion, s."""
     start, speed = place
     span = start + np.asarray(part) / speed
     rows = slice(*np.searchsorted(signal.times, span))
@@ -475,10 +474,10 @@ def _ends(
     part: tuple[float, float],
     joints: NDArray[np.bool_],
 ) -> tuple[float, float]:
-    """From where to where the motion was played, s of the motion.
+    """Start and end of the played part, s of the motion.
 
-    The windows of the velocities know it to half a second. The positions know better: before a play
-    a robot comes from elsewhere, after it goes elsewhere.
+    Velocity windows give them to half a second. Positions are more accurate, because before and
+    after a playback the robot is elsewhere.
     """
     start, speed = place
     inner = _errors(signal, trajectory, place, part)[:, joints]

@@ -1,4 +1,4 @@
-"""A reference for a session that was recorded without one: the motion when it was played."""
+"""Add the reference to a session that was recorded without one, from the motion."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Found", "Recorded", "encode_references", "find_motion", "with_motion"]
 
-#: References a second of the session, Hz.
+#: Rate of the references, Hz.
 _RATE: Final = 500
-#: Commands carry the motion where they are nearer to it than the robot is, by this factor, or that
-#: near, rad: the next of 30 frames a second is off by 0.011 rad in a dance.
+#: Commands contain the motion if they are closer to it than the robot by this factor, or within
+#: this distance, rad. In a dance the next frame at 30 fps differs by 0.011 rad.
 _NEARER: Final = 0.5
 _EXACT: Final = 0.03
-#: A pelvis that goes less far has not moved, m.
+#: A pelvis that moves less than this has not moved, m.
 _MOVED: Final = 0.05
 
 
 class Recorded(NamedTuple):
-    """What is compared with a motion.
+    """Joint positions to compare with a motion.
 
     Attributes:
-        by: what it is.
+        by: name of the source.
         published: (N,) ns.
         q: (N, 29) rad, motor order: targets, or measured positions.
     """
@@ -70,7 +70,7 @@ class Recorded(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Where a motion is in what was recorded; times of its plays are s after `zero`, ns."""
+    """The playbacks of a motion in recorded positions. Times of plays are s after `zero`, ns."""
 
     by: AttachedBy
     zero: int
@@ -78,22 +78,22 @@ class Found(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """rad, by which the best play is off; infinite without one."""
+        """Error of the best playback, rad; infinite without a playback."""
         return self.alignment.best.rmse if self.alignment.best else float("inf")
 
 
 def find_motion(
     recorded: Sequence[Recorded], trajectory: Trajectory, *, any_speed: bool = True
 ) -> Found | None:
-    """Where a motion is, by what tells it best; None where nothing can tell.
+    """Find a motion in the most informative source; None if no source can show it.
 
-    Commands tell, where they carry joint targets of the motion, else measured joints. Targets of a
-    learned policy are there for their torques: they are no nearer to the motion than the robot.
+    Commands are used if they contain joint targets of the motion, otherwise measured joints.
+    Targets of a learned policy produce torques, and are no closer to the motion than the robot.
 
     Args:
-        recorded: by commands first.
+        recorded: the sources, commands first.
         trajectory: the motion.
-        any_speed: as of `find_plays`.
+        any_speed: as in `find_plays`.
     """
     found = []
     for by, published, q in recorded:
@@ -114,28 +114,28 @@ def find_motion(
 
 
 def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSource:
-    """The session with a reference: the motion, found by the joints that were recorded.
+    """The session with a reference: the motion, found in the recorded joints.
 
-    References are 500 a second, from the first to the last frame that was played. Their publish
-    times are those of the motion on the clock of the state, their log times on the recorder's.
-    Joints that do not follow count as not played: of commands each, of measured joints only a whole
-    limb, as a single one may be stuck. Heading and place of the reference are those of the measured
-    pelvis when it begins, as far as these are known; its height is the motion's.
+    References have 500 Hz, from the first to the last played frame. Publish times are the motion's
+    on the clock of the state, log times on the recorder's clock. Joints that do not follow count as
+    not played; with measured joints only whole limbs, because a single joint may be stuck. Heading
+    and place of the reference are those of the measured pelvis at the start, if they are known.
+    Height is that of the motion.
 
     Args:
-        session: without a reference.
-        motion: what was played, or more than that.
-        play: which time, from 1, where it was played several times.
+        session: session without a reference.
+        motion: motion that was played completely or in part.
+        play: number of the playback, from 1, if it was played several times.
 
     Raises:
         RecordingError: the session has a reference, or neither commands nor a state; the motion was
-            not played in it; or several places in the motion are as likely.
-        ConfigError: it was not played that often.
+            not played in it; or several places in the motion are equally likely.
+        ConfigError: it was played fewer times.
     """
     if session.topics.get(ReferenceStream.topic):
         raise RecordingError(
-            f"{session.path} has a reference already.",
-            "Use it as it is, or give a session that was recorded without one.",
+            f"{session.path} already has a reference.",
+            "Use it without a motion, or give a session without a reference.",
         )
     trajectory = Trajectory(motion)
     found = find_motion(list(_recorded(session)), trajectory)
@@ -147,26 +147,26 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
     plays, best, rival, ambiguous = found.alignment
     if best is None:
         near = (
-            f" The nearest is {rival.seconds:.1f} s from {rival.first:.1f} s on, with a similarity "
-            f"of {rival.similarity:.2f}."
+            f" The closest part is {rival.seconds:.1f} s from {rival.first:.1f} s on, with "
+            f"similarity {rival.similarity:.2f}."
             if rival
             else ""
         )
         raise RecordingError(
-            f"{motion.name} was not played in {session.path}, by its {found.by}.{near}",
-            "Give the motion that was played; at least some 3 s of it must be in the session.",
+            f"{motion.name} was not found in {session.path}, in its {found.by}.{near}",
+            "Give the motion that was played; the session must have at least about 3 s of it.",
         )
     if ambiguous and rival:
         raise RecordingError(
-            f"It cannot be told what of {motion.name} was played in {session.path}: from "
-            f"{best.first:.1f} s on it is similar by {best.similarity:.2f}, from "
-            f"{rival.first:.1f} s on by {rival.similarity:.2f}.",
+            f"The part of {motion.name} that was played in {session.path} is ambiguous: from "
+            f"{best.first:.1f} s on the similarity is {best.similarity:.2f}, from "
+            f"{rival.first:.1f} s on {rival.similarity:.2f}.",
             "Give only the part that was played: g1stream attach --start S --duration S.",
         )
     if not 1 <= play <= len(plays):
         raise ConfigError(
-            f"{motion.name} was played {counted(len(plays), 'time')} in {session.path}, and {play} "
-            "is asked for.",
+            f"{motion.name} was played {counted(len(plays), 'time')} in {session.path}, so there "
+            f"is no number {play}.",
             f"Give a number from 1 to {len(plays)}.",
         )
     chosen = plays[play - 1]
@@ -206,7 +206,7 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
 
 
 def _recorded(session: Recording) -> Iterator[Recorded]:
-    """What a session has to compare with a motion, on the recorder's clock."""
+    """The sources of a session that can be compared with a motion, on the recorder's clock."""
     kinds: dict[AttachedBy, type[CommandStream | MeasuredStream]] = {
         "commands": CommandStream,
         "arm commands": ArmCommandStream,
@@ -223,15 +223,15 @@ def _recorded(session: Recording) -> Iterator[Recorded]:
         if not session.topics.get(kind.topic):
             continue
         stream = session.stream(kind)
-        # Without gains, commands are torques.
+        # Commands without gains are torques.
         if isinstance(stream, CommandStream) and (stream.read("kp").kp == 0.0).all():
             continue
         yield Recorded(by, stream.published, stream.read("q").q)
 
 
 def _reference_times(session: Recording, found: Found, play: Play) -> tuple[float, Floats, Ints]:
-    """By how much commands were ahead, s; times of references (N,) s after the motion's first
-    frame, and when they are published, (N,) ns on the recorder's clock.
+    """Preview of commands, s; and for N references the time after the motion's first frame, s,
+    and the publish time on the recorder's clock, ns.
     """  # noqa: D205
     stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
     ahead = found.by != "measured joints" and stream and stream.preview_s
@@ -250,15 +250,15 @@ def encode_references(
     turn: Floats,
     place: Floats,
 ) -> NDArray[np.uint8]:
-    """(N, size) References in PLAY, as a stream of ours would have published them.
+    """(N, size) references in PLAY, encoded as the stream publishes them.
 
     Args:
         point: N points of the motion.
         at: (N,) s since its first frame.
-        speed: seconds of the motion in a second.
+        speed: seconds of the motion per second.
         played: (29,) which joints play it.
-        turn: (4,) wxyz, about the first point, by which the motion is turned.
-        place: (3,) m, where that point is put.
+        turn: (4,) wxyz, rotation of the motion about the first point.
+        place: (3,) m, new position of that point.
     """
     values = {
         "tick": np.arange(len(at)),
@@ -288,7 +288,7 @@ def _played(session: Recording, play: Play, info: AttachedInfo) -> NDArray[np.bo
 
 
 class _Pelvis(NamedTuple):
-    """Where the reference begins: turn (4,) wxyz about the vertical, and place (3,), m."""
+    """Start of the reference: turn (4,) wxyz about the vertical, and place (3,), m."""
 
     turn: Floats
     place: Floats
@@ -298,7 +298,7 @@ class _Pelvis(NamedTuple):
 
 
 def _pelvis(session: Recording, point: TrajectoryPoint, published: Ints) -> _Pelvis:
-    """How to move N points of the motion so that the first is where the pelvis was then."""
+    """The turn and move that put the first of N points at the measured pelvis of that time."""
     turn, place = quat_from_yaw(0.0), point.root_pos[0].copy()
     heading_from, place_from, moves = "none", "none", False
     if session.topics.get(MeasuredStream.topic):

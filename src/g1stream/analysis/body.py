@@ -1,8 +1,8 @@
-"""How closely the links of the robot followed those of the reference, in metres.
+"""How closely the robot's links followed those of the reference, in metres.
 
-Body-space metrics of papers are those of frames at the rate of a policy, 50 Hz, and their
-velocities are per frame; forward kinematics at every LowState would cost ten times as much and
-change no mean. So reference and measured robot are sampled at the same instants of PLAY.
+Body-space metrics of papers use frames at the rate of a policy, 50 Hz, and velocities per frame.
+Forward kinematics at every LowState would take ten times as long and give the same means. Reference
+and measured robot are therefore sampled at the same times in PLAY.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ __all__ = [
     "frames",
 ]
 
-#: Those of BeyondMimic's tasks for the G1.
+#: The links of BeyondMimic's tasks for the G1.
 _END_EFFECTORS: Final = (
     "left_ankle_roll_link",
     "right_ankle_roll_link",
@@ -63,7 +63,7 @@ _END_EFFECTORS: Final = (
 )
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
-#: Errors with which a run has failed for SONIC: of a height, m, and of the pelvis's attitude, rad.
+#: Errors at which SONIC counts a run as failed: height, m, and attitude of the pelvis, rad.
 _SONIC_HEIGHT: Final = 0.25
 _SONIC_ROTATION: Final = 1.0
 
@@ -82,16 +82,16 @@ REFERENCE_COLUMNS: Final = (
     "root_ang_vel",
 )
 MEASURED_COLUMNS: Final = ("q", "dq", "imu_quat_wxyz", "gyroscope")
-"""The columns of a session that `frames` reads."""
+"""The columns of a session that `frames` needs."""
 
 
 class LinkMetrics(Record):
-    """How far the links were from those of the reference.
+    """Distance of the links from those of the reference.
 
     Attributes:
         mpjpe_mm: mean distance, over links and frames.
-        p99_mm, max_mm: of the frames' means over all links.
-        max_at_s: when the greatest was, since the motion's first frame.
+        p99_mm, max_mm: over frames, of the mean over all links.
+        max_at_s: time of the largest, since the motion's first frame.
         vel_mm_per_frame: mean error of the links' velocities; None with one frame.
         acc_mm_per_frame2: mean error of their accelerations; None with two frames.
         by_link_mm: mean distance of each link.
@@ -107,7 +107,7 @@ class LinkMetrics(Record):
 
 
 class EndEffectorMetrics(Record):
-    """How far a hand or a foot was from the reference's, in the pelvis's frame."""
+    """Distance of a hand or a foot from the reference's, in the pelvis's frame."""
 
     position_mm: float
     max_position_mm: float
@@ -115,14 +115,14 @@ class EndEffectorMetrics(Record):
 
 
 class PelvisMetrics(Record):
-    """How far the pelvis was from the reference's, which it is at in the first frame.
+    """Distance of the pelvis from the reference's; they coincide in the first frame.
 
     Attributes:
-        orientation_rad, max_orientation_rad: mean and greatest angle between the two.
+        orientation_rad, max_orientation_rad: mean and largest angle between the two.
         yaw_rate_rad_s: mean absolute error of the angular velocity about the pelvis's z axis.
-        position_mm, max_position_mm, final_position_mm: mean, greatest and last distance; None
-            where the position was not measured.
-        lin_vel_m_s: mean error of the velocity, likewise.
+        position_mm, max_position_mm, final_position_mm: mean, largest and last distance; None
+            if the position was not measured.
+        lin_vel_m_s: mean error of the velocity; None if the position was not measured.
     """
 
     orientation_rad: float
@@ -135,13 +135,13 @@ class PelvisMetrics(Record):
 
 
 class Excess(Record):
-    """Where a link was too far from the reference's for the first time.
+    """The first time that a link was too far from the reference's.
 
     Attributes:
-        at_s: since the motion's first frame.
-        link: its name.
-        height_mm: error of its height, where that was too large.
-        rotation_rad: angle between the two attitudes, where that was.
+        at_s: time since the motion's first frame.
+        link: name of the link.
+        height_mm: error of its height, if that was too large.
+        rotation_rad: error of its attitude, if that was too large.
     """
 
     at_s: float
@@ -150,22 +150,22 @@ class Excess(Record):
     rotation_rad: float | None = None
 
     def __str__(self) -> str:
-        """The link, by how much, and when."""
+        """The link, the error and the time."""
         wrong = "" if self.height_mm is None else f"{self.height_mm:.0f} mm in height"
         wrong = wrong or f"{self.rotation_rad or 0.0:.2f} rad in rotation"
         return f"{self.link} off by {wrong} at {self.at_s:.2f} s"
 
 
 class TerminationMetrics(Record):
-    """What ends an episode of BeyondMimic, at its greatest, and where a run fails for SONIC.
+    """Largest errors of BeyondMimic's termination terms, and SONIC's failure.
 
     Attributes:
         max_pelvis_height_mm: error of the pelvis's height.
         max_gravity_difference: between the z components of the direction of gravity in the two
             pelvis frames, 0 to 2.
         max_end_effector_height_mm: error of the height of a hand or a foot.
-        sonic: where the height of the pelvis, a hand or a foot was off by more than 250 mm, or the
-            pelvis's attitude by more than 1 rad, for the first time; None where neither was.
+        sonic: first time that the height of the pelvis, a hand or a foot was off by more than
+            250 mm, or the pelvis's attitude by more than 1 rad; None if there was none.
     """
 
     max_pelvis_height_mm: float
@@ -175,17 +175,17 @@ class TerminationMetrics(Record):
 
 
 class BodyMetrics(Record):
-    """How closely the robot followed in space, in PLAY, over its 30 bodies.
+    """How closely the 30 bodies of the robot followed the reference in PLAY.
 
     Attributes:
-        fps: of the frames.
-        frames: how many.
-        world: with the base, where its position was measured.
-        root_relative: without the position of the base, with its attitude, where that was measured.
-        pelvis_frame: without position and attitude of the base: what the joints alone make.
+        fps: frame rate.
+        frames: number of frames.
+        world: with the measured base; None if its position was not measured.
+        root_relative: without the position of the base, with its attitude if that was measured.
+        pelvis_frame: without position and attitude of the base: the effect of the joints alone.
         end_effectors: hands and feet, by link.
-        pelvis: None where its attitude was not measured.
-        terminations: None where its position was not measured.
+        pelvis: None if its attitude was not measured.
+        terminations: None if its position was not measured.
     """
 
     fps: float
@@ -217,16 +217,16 @@ class RobotFrames(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """F frames of PLAY; where states or reference have a gap, there are none.
+    """F frames of PLAY, without the gaps of states and reference.
 
     Attributes:
         motion_time: (F,) s since the motion's first frame.
-        consecutive: (F - 1,) whether a frame is followed by the next one.
+        consecutive: (F - 1,) whether the next frame follows without a gap.
         reference, measured: the two robots. The measured one is turned about the vertical and
-            moved so that its pelvis is where the reference's is in frame 0: an IMU measures yaw
-            from where it was switched on, and odometry has an origin of its own.
-        has_attitude: whether an IMU measured the attitude; else it is the reference's.
-        has_position: whether the position was measured, and the attitude; else it is the
+            moved so that its pelvis is at the reference's in frame 0, because an IMU measures yaw
+            relative to its start, and odometry has its own origin.
+        has_attitude: whether an IMU measured the attitude; otherwise it is the reference's.
+        has_position: whether position and attitude were measured; otherwise the position is the
             reference's.
     """
 
@@ -239,7 +239,7 @@ class Frames(NamedTuple):
 
 
 def frames(session: Recording, tracking: Tracking) -> Frames | None:
-    """The frames of a session; None where PLAY is too short for one.
+    """The frames of a session; None if PLAY is too short for one.
 
     Raises:
         RecordingError: the file is damaged.
@@ -277,7 +277,7 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
         q=states.interpolate(tracking.measured), dq=done.interpolate(measured.dq)
     )
     quat = done.interpolate(sign_continuous(measured.imu_quat_wxyz))
-    # An IMU that is not there sends zeros.
+    # A missing IMU sends zeros.
     has_attitude = bool(is_unit(quat).all())
     has_attitude &= bool(np.isfinite(measured.gyroscope).all())
     if has_attitude:
@@ -305,7 +305,7 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
 
 
 def _around(times: Ints, at: Ints) -> Neighbours:
-    """The samples (N,), in any order, around instants (F,), all ns; none where they are apart."""
+    """Neighbouring samples (N,), in any order, of instants (F,), in ns; none across a gap."""
     order = np.argsort(times, kind="stable")
     found = neighbours(times[order], at)
     found = found.where(found.gap <= MAX_GAP_NS)
@@ -313,15 +313,15 @@ def _around(times: Ints, at: Ints) -> Neighbours:
 
 
 def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOINTS)) -> BodyMetrics:
-    """The metrics of the links, in the world, relative to the pelvis's position and in its frame.
+    """The metrics of the links in the world, relative to the pelvis's position and in its frame.
 
-    Links are the bodies of the G1, the pelvis and those that a joint has: all of them, or where
-    only some joints were played those that these move.
+    Links are the 30 bodies of the G1: the pelvis and one for each joint. If only some joints were
+    played, only the links that these move are used.
 
     Args:
-        robot: the links.
-        frames: the reference and what was measured.
-        joints: motor indices of those that were played.
+        robot: the robot's kinematics.
+        frames: the reference and the measured robot.
+        joints: motor indices of the played joints.
     """
     bodies = np.flatnonzero(_moved(robot, joints))
     names = [robot.link_names[i] for i in bodies]
@@ -367,7 +367,7 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
 
 
 def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
-    """(L,) which bodies the played joints move; the pelvis, too, if all joints were played."""
+    """(L,) the bodies that the played joints move; and the pelvis, if all joints were played."""
     bodies = robot.joint_of_link >= 0
     played = np.isin(robot.joint_of_link, joints)
     if np.array_equal(played, bodies):
@@ -381,7 +381,7 @@ def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
 def _links(
     robot: G1, state: RobotFrames, part: slice, bodies: NDArray[np.intp]
 ) -> tuple[LinkPoses, Floats]:
-    """Poses of L bodies in the pelvis's frame, and their positions (F, L, 3) with its attitude."""
+    """Poses of L bodies in the pelvis's frame, and positions (F, L, 3) rotated by its attitude."""
     poses = forward_kinematics(robot, state.q[part], np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     links = LinkPoses(poses.pos[:, bodies], poses.quat_wxyz[:, bodies])
     axes = quat_rotate(state.root_quat_wxyz[part, np.newaxis], np.eye(3))
@@ -389,7 +389,7 @@ def _links(
 
 
 def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkMetrics:
-    """Of the positions (F, L, 3) m, reference - measured."""
+    """Metrics of the differences of positions (F, L, 3) m, reference - measured."""
     distance = _norm(difference)
     of_frame = distance.mean(axis=1)
     worst = int(of_frame.argmax())
@@ -409,12 +409,12 @@ def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkM
 
 
 def _mean_norm(vectors: Floats) -> float | None:
-    """Mean length of vectors (F, L, 3) m, mm; None without a frame."""
+    """Mean length of vectors (F, L, 3) m, in mm; None without frames."""
     return float(_norm(vectors).mean() * _MM) if len(vectors) else None
 
 
 def _norm(vectors: Floats) -> Floats:
-    """(...) of vectors (..., 3); numpy's own takes twice as long."""
+    """(...) lengths of vectors (..., 3). numpy's norm takes twice as long."""
     length: Floats = np.sqrt(np.einsum("...k,...k", vectors, vectors))
     return length
 
@@ -448,7 +448,7 @@ def _pelvis_metrics(frames: Frames) -> PelvisMetrics:
 
 
 def _angle(a: Floats, b: Floats) -> Floats:
-    """(F,) rad between rotations (F, 4)."""
+    """(F,) angles between rotations (F, 4), rad."""
     difference = quat_mul(quat_conj(a), b)
     angle: Floats = 2.0 * np.arctan2(
         np.linalg.norm(difference[:, 1:], axis=1), np.abs(difference[:, 0])
@@ -457,7 +457,7 @@ def _angle(a: Floats, b: Floats) -> Floats:
 
 
 def _first_excess(frames: Frames, links: list[str], heights: Floats) -> Excess | None:
-    """Of errors of heights (F, E) m, the pelvis's first, and of its attitude."""
+    """The first excess of height errors (F, E) m, the pelvis first, or of its attitude."""
     rotation = _angle(frames.reference.root_quat_wxyz, frames.measured.root_quat_wxyz)
     shares = np.column_stack([rotation / _SONIC_ROTATION, heights / _SONIC_HEIGHT])
     beyond = (shares > 1.0).any(axis=1)

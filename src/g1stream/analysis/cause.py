@@ -1,16 +1,16 @@
-"""Why the joint that was farthest from its reference was there: evidence from just before that.
+"""Find the cause of the largest tracking error, from evidence just before it.
 
-Causes are looked for in this order. One may bring about those after it, and none before it: a stall
-or a contact loads a motor up to its limit, and a motor at its limit makes its joint late.
+Causes are checked in this order. Each may cause those after it but none before it: a stall or a
+contact loads a motor up to its limit, and a motor at its limit makes its joint late.
 
-- stall: no command was sent for longer than a servo holds its target without harm.
-- simulator: the robot's clock was slower than the motion, or stood still for a moment.
-- self-collision: links are inside each other in the reference, and kept apart by the robot.
-- position limit, speed limit: the motion is beyond it, and the stream held the joint's target back.
+- stall: the stream sent no command for longer than a servo can hold its target without harm.
+- simulator: the robot's clock was slower than the motion, or stopped for a moment.
+- self-collision: links are inside each other in the reference, and the robot keeps them apart.
+- position limit, speed limit: the motion exceeds it, and the stream clamped the joint's target.
 - torque: the motor was at its limit.
 - start: PLAY began with the error, which RAMP had left.
-- lag: what the joint did is what was asked of it by its usual delay earlier.
-- no feed-forward: commands carried no torque, so that the servo needed the error for its own.
+- lag: the joint did what was commanded its usual delay earlier.
+- no feed-forward: commands had no torque, so the servo needed the error to produce it.
 """
 
 from __future__ import annotations
@@ -55,42 +55,42 @@ CauseName = Literal[
     "no feed-forward",
 ]
 
-#: For so long, at most, an error grows to its greatest, s: a leg swings back in that time.
+#: An error grows for at most this time, s: a leg swings back in that time.
 _GROWTH: Final = 0.3
-#: An error begins to grow at this share of its greatest, and its cause may be so much earlier, s.
+#: An error begins to grow at this fraction of its maximum, and its cause may be earlier by this, s.
 _BEGUN, _EARLIER = 0.1, 0.1
-#: The least share of the error that a cause must explain.
+#: Least fraction of the error that a cause must explain.
 _SHARE: Final = 0.5
-#: Commands further apart than this, s, do harm; a servo holds its last target meanwhile.
+#: Longest harmless time between commands, s; a servo holds its last target meanwhile.
 _STALL: Final = 0.02
-#: The robot's time over the motion's, below which a simulator is too slow.
+#: Ratio of robot time to motion time below which a simulator is too slow.
 _SLOW: Final = 0.8
-#: A robot whose clock counts in ms is behind the motion if it is so by this, s.
+#: A robot whose clock counts ms is behind the motion beyond this, s.
 _BEHIND: Final = 0.003
-#: Ticks that count ms have the usual step in this share, at least.
+#: At least this fraction of ticks that count ms must have the usual step.
 _REGULAR: Final = 0.9
-#: Depth of two links in each other that is no rounding of their hulls, m.
+#: A collision is deeper than this, m; less may be rounding of the hulls.
 _INSIDE: Final = 0.001
-#: Links that a robot keeps apart touch within this share of the way to its reference.
+#: Links that a robot keeps apart touch within this fraction of the way to the reference.
 _NEAR: Final = 0.25
-#: Poses that are looked at for collisions.
+#: Number of poses that are checked for collisions.
 _MOST_POSES: Final = 50
-#: A motor at this share of its limit is at its limit: the stream holds a joint back
-#: by the torque that it expects, which differs by some percent from what the motor then gives.
+#: A motor at this fraction of its limit counts as at its limit. The stream limits the expected
+#: torque, which differs from the motor's by some percent.
 _AT_LIMIT: Final = 0.95
-#: A motor that is at its limit for so long, s, leaves its joint at another speed.
+#: A motor that is at its limit for this time, s, changes its joint's speed.
 _LONG: Final = 0.01
 
 
 class WorstError(Record):
-    """The greatest tracking error of a joint, and its cause.
+    """The largest tracking error of a joint, and its cause.
 
     Attributes:
         joint: name of the joint.
         error_rad: reference - measured.
-        at_s: since the motion's first frame.
-        cause: None where none was found.
-        why: the evidence, in words; empty where no cause was found.
+        at_s: time since the motion's first frame.
+        cause: None if none was found.
+        why: the evidence, in words; empty without a cause.
     """
 
     joint: str
@@ -100,7 +100,7 @@ class WorstError(Record):
     why: str = ""
 
     def __str__(self) -> str:
-        """The joint, by how much, when, and why."""
+        """The joint, the error, the time and the evidence."""
         size = f"{math.degrees(abs(self.error_rad)):.2f} deg"
         name = self.joint.removesuffix("_joint")
         return f"{name} {size} at {self.at_s:.2f} s: {self.why or 'no cause found'}"
@@ -109,13 +109,13 @@ class WorstError(Record):
 def worst_error(
     session: Recording, tracking: Tracking, stream: StreamSummary | None, margin: float = 0.0
 ) -> WorstError:
-    """The greatest error of a played joint, and why.
+    """Find the largest error of a played joint, and its cause.
 
     Args:
-        session: with a reference.
-        tracking: of the session.
-        stream: what the stream counted; None where that is not known.
-        margin: that targets kept from the position limits, rad.
+        session: session with a reference.
+        tracking: tracking of the session.
+        stream: counters of the stream; None if they are unknown.
+        margin: distance that targets keep from the position limits, rad.
 
     Raises:
         RecordingError: the file is damaged.
@@ -144,14 +144,14 @@ def worst_error(
 
 
 class _Moment:
-    """The time before the greatest error. What looks for a cause returns the evidence, or "".
+    """The time before the largest error. Each cause's method returns the evidence, or "".
 
     Times are s on the motion's clock, as `Stream.time`.
 
     Attributes:
         joint: motor index of the joint.
         worst: row of the tracking.
-        error: reference - measured there, rad.
+        error: reference - measured in that row, rad.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class _Moment:
         self._shares = errors / (self.error or 1.0)
         growth = self._before(tracking.time, _GROWTH)
         small = tracking.time[growth[self._shares[growth] < _BEGUN]]
-        #: From here on the cause may be.
+        #: The cause may not be earlier than this.
         self._since = float(small.max(initial=self._at - _GROWTH)) - _EARLIER
         self._rows = self._before(tracking.time, self._at - self._since)
         asked = session.reference
@@ -187,24 +187,24 @@ class _Moment:
         self._states, self._commands = found[MeasuredStream], found.get(kind)
 
     def _before(self, times: Floats, seconds: float) -> NDArray[np.intp]:
-        """Which of some times are in the last `seconds` before the greatest error, oldest first."""
+        """Indices of the times in the last `seconds` before the largest error, oldest first."""
         near = np.flatnonzero((times <= self._at) & (times >= self._at - seconds))
         return near[np.argsort(times[near], kind="stable")]
 
     def _moved(self, seconds: float) -> float:
-        """By how much the reference moved in the last `seconds`, rad."""
+        """Movement of the reference in the last `seconds`, rad."""
         before, now = np.interp([self._at - seconds, self._at], self._asked_at, self._asked)
         return float(now - before)
 
     def _explains(self, late: float) -> bool:
-        """Whether a joint that is `late` by so many s, and is so right, has about this error."""
+        """Whether a delay of `late` s and no other error explains about this error."""
         return _SHARE <= self._moved(late) / self.error <= 2.0 - _SHARE
 
     def stall(self) -> str:
         times = np.sort(self._sent)
         first, end = np.searchsorted(times, (self._since, self._at))
         first = max(0, first - 1)
-        gaps = np.diff(times[first : end + 1])  # those in which they are, too
+        gaps = np.diff(times[first : end + 1])  # including those around both ends
         if not len(gaps) or gaps.max() <= max(_STALL, 3.0 * np.median(np.diff(times))):
             return ""
         begun = times[first + int(gaps.argmax())]
@@ -219,7 +219,7 @@ class _Moment:
         played = float(tracking.motion_time[rows[-1]] - tracking.motion_time[rows[0]])
         every = self._session.measured.tick
         ticks = every[tracking.states[rows]]
-        if not ticks.any():  # of a simulator that counts none
+        if not ticks.any():  # a simulator without ticks
             slow = self._stream and self._stream.waited_s is None and self._stream.time_scale
             pace = slow or 1.0
         else:
@@ -227,7 +227,7 @@ class _Moment:
             pace = passed / played if played > _EARLIER / 2 else 1.0
             behind = played - passed
             if pace >= _SLOW and behind >= _BEHIND and self._explains(behind):
-                # unitree_mujoco's C++ bridge repeats ticks, and jumps, while nothing stalls.
+                # unitree_mujoco's C++ bridge repeats and skips ticks without a stall.
                 steps = np.diff(every)
                 if np.mean(steps == np.median(steps)) > _REGULAR:
                     return f"the simulator stalled: it was {1e3 * behind:.0f} ms behind the motion"
@@ -244,7 +244,7 @@ class _Moment:
         deepest, text = _INSIDE, ""
         try:
             collision = SelfCollision(robot)
-        except ValueError:  # MuJoCo does not take its URDF
+        except ValueError:  # MuJoCo does not accept the URDF
             return ""
         for pair, depths in collision.depths(poses).items():
             of_asked, of_done, near = depths.reshape(3, len(rows))
@@ -266,7 +266,7 @@ class _Moment:
         held = float(np.clip(asked, lower, upper))
         if (asked - held) / self.error < _SHARE:
             return ""
-        kept = f", from which safety.position_margin keeps {margin:g} rad" if margin else ""
+        kept = f"; safety.position_margin keeps {margin:g} rad from it" if margin else ""
         return f"{asked:.3f} rad is beyond its position limit, {held:.3f} rad{kept}"
 
     def speed_limit(self, robot: G1) -> str:
@@ -274,7 +274,7 @@ class _Moment:
             return ""
         limit = float(robot.velocity[self.joint])
         near = self._before(self._asked_at, self._at - self._since)
-        # Not by the times of publication, which are late by what the loop is.
+        # Publish times are late by as much as the loop.
         passed = np.diff(self._motion_at[near])
         moved = np.abs(np.diff(self._asked[near]))
         speeds = np.divide(moved, passed, out=np.zeros_like(moved), where=passed > 1e-6)
@@ -284,19 +284,19 @@ class _Moment:
         if missing / self.error < _SHARE or speeds.max(initial=0.0) <= limit:
             return ""
         return (
-            f"the motion moves it at {speeds.max():.1f} rad/s, and its target was held back to "
+            f"the motion moves it at {speeds.max():.1f} rad/s, and its target was limited to "
             f"{limit:g} rad/s"
         )
 
     def torque_limit(self, robot: G1) -> str:
         limit, sign = float(robot.torque_limit[self.joint]), np.sign(self.error)
         for text, samples in (
-            ("its motor gave {:.1f} of the {:g} N·m that it has", self._states),
-            ("commands asked for {:.1f} of the {:g} N·m that its motor has", self._commands),
+            ("its motor gave {:.1f} N·m, limit {:g} N·m", self._states),
+            ("commands asked its motor for {:.1f} N·m, limit {:g} N·m", self._commands),
         ):
             if samples is None or len(samples) < 2:
                 continue
-            towards = sign * samples.tau[:, self.joint]  # the reference
+            towards = sign * samples.tau[:, self.joint]  # towards the reference
             interval = float(np.median(np.diff(np.sort(samples.time))))
             if np.sum(towards >= _AT_LIMIT * limit) * interval >= _LONG:
                 return text.format(towards.max(), limit)
@@ -329,13 +329,13 @@ class _Moment:
         if self._commands.tau[-1].any() or kp <= 0.0 or given / kp / self.error < _SHARE:
             return ""
         return (
-            f"commands carry no torque, and its servo gives {abs(given):.1f} N·m with kp {kp:g} "
-            "only by the error"
+            f"commands have no torque, and its servo with kp {kp:g} needs the error to give "
+            f"{abs(given):.1f} N·m"
         )
 
 
 def _moved_by(robot: G1, joint: int) -> dict[str, bool]:
-    """By link, whether a joint moves it."""
+    """Whether a joint moves each link, by the link's name."""
     moved = [False] * len(robot.link_names)
     for link, parent in enumerate(robot.parent.tolist()):  # parents come before children
         moved[link] = robot.joint_of_link[link] == joint or (parent >= 0 and moved[parent])

@@ -1,6 +1,6 @@
 """The metrics of a session, from its samples; docs/metrics.md defines each, with its formula.
 
-Units are part of the names; None stands for what is not known.
+Units are part of the names. None means unknown.
 """
 
 from __future__ import annotations
@@ -84,30 +84,30 @@ NAMED_METRICS: Final = {
     "state_age_p99": ("us", "timing.state_age_us.p99"),
     "delay_p99": ("s", "timing.state_to_command_p99_s"),
 }
-"""Metrics of a whole session by the name that a condition has for them: unit and place."""
+"""Metrics of a whole session by their names in conditions, with unit and place."""
 
-#: A run fails where the links are further away than this on average, mm: PHC, H2O, OmniH2O, ASAP.
+#: A run fails if the mean distance of the links is larger, mm: PHC, H2O, OmniH2O, ASAP.
 _MOST_LINK_ERROR: Final = 500.0
-#: What ends an episode of BeyondMimic: errors of heights, mm, and of the direction of gravity.
+#: Termination of BeyondMimic's episodes: errors of heights, mm, and of the gravity direction.
 _MOST_HEIGHT_ERROR: Final = 250.0
 _MOST_GRAVITY_DIFFERENCE: Final = 0.8
-#: Periods between two commands, above which the stream has left out a tick.
+#: An interval of more periods between two commands means that the stream skipped a tick.
 _LEFT_OUT: Final = 1.5
 
 
 class TimingMetrics(Record):
-    """How punctual everything was, in the whole session.
+    """Timing of commands, states and messages, in the whole session.
 
     Attributes:
-        rate_hz, nominal_rate_hz: LowCmds per second, achieved and asked for.
+        rate_hz, nominal_rate_hz: LowCmds per second, achieved and nominal.
         interval_us: between the publish times of LowCmds.
-        lateness_us: of each write against its deadline; None where the stream told nothing.
-        lateness_histogram_us: lower edge of a 1 us bin -> ticks, likewise.
-        skipped_ticks: left out because they were a whole period late or more, likewise.
-        state_age_us: of the newest LowState at each LowCmd, between the publish times.
+        lateness_us: each write minus its deadline; None without data from the stream.
+        lateness_histogram_us: lower edge of a 1 us bin -> ticks; None likewise.
+        skipped_ticks: ticks that were a whole period late or more; None likewise.
+        state_age_us: age of the newest LowState at each LowCmd, between the publish times.
         state_to_command_us: from the publish time of the LowState that a LowCmd was computed from
-            to that LowCmd's; of another program's commands the same as `state_age_us`.
-        topics: rate, gaps and wire latency of each topic of DDS.
+            to that LowCmd's; for another program's commands the same as `state_age_us`.
+        topics: rate, gaps and wire latency of each DDS topic.
     """
 
     rate_hz: float | None = None
@@ -129,15 +129,15 @@ class TimingMetrics(Record):
 
 
 class Metrics(Record):
-    """How well a session went, in numbers.
+    """The results of a session.
 
     Attributes:
-        success: whether the motion was played to its end and followed.
-        tracking: of the joints.
-        body: of the links, in space.
-        torque: of the motors.
-        timing: of commands, states and the wire.
-        missing: which of these is None -> why, a sentence.
+        success: whether the motion was played to its end and tracked.
+        tracking: tracking error of the joints.
+        body: tracking error of the links in space.
+        torque: torque of the motors.
+        timing: timing of commands, states and messages.
+        missing: name of an attribute that is None -> the reason, a sentence.
     """
 
     success: SuccessMetrics
@@ -148,7 +148,7 @@ class Metrics(Record):
     missing: dict[str, str]
 
     def named(self) -> dict[str, float | None]:
-        """The `NAMED_METRICS` of this session; None where one is not known."""
+        """The `NAMED_METRICS` of this session; None for an unknown one."""
         return {name: self._at(path) for name, (_, path) in NAMED_METRICS.items()}
 
     def _at(self, path: str) -> float | None:
@@ -160,11 +160,11 @@ class Metrics(Record):
 
 
 def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metrics:
-    """The metrics of a session, whatever it holds.
+    """Compute the metrics of a session as far as its data allow.
 
     Args:
-        session: of one motion or none.
-        joints: motor indices of those that count; all that played if None.
+        session: session with one motion or none.
+        joints: motor indices of the joints to use; all that played if None.
 
     Raises:
         RecordingError: the file is damaged.
@@ -174,7 +174,7 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
     missing: dict[str, str] = {}
     found = None
     if played(summary.phases) > 1:
-        missing["tracking"] = "Several motions were played, so that there is no one reference."
+        missing["tracking"] = "Several motions were played, so there is no single reference."
     else:
         try:
             found = tracking(session)
@@ -189,7 +189,7 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
     except RobotError as error:
         missing["body"] = error.cause
     if not session.topics.get(MeasuredStream.topic):
-        missing["torque"] = f"It has no messages on {MeasuredStream.topic}."
+        missing["torque"] = f"The session has no messages on {MeasuredStream.topic}."
     elif robot is None:
         missing["torque"] = missing["body"]
     else:
@@ -214,7 +214,7 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
 
 
 def _read(session: Recording) -> None:
-    """Read the columns that are needed in one pass, and with another what is made of commands."""
+    """Read all needed columns in one pass, and the results of commands in another."""
     session.read(
         {
             ReferenceStream: REFERENCE_COLUMNS,
@@ -223,15 +223,15 @@ def _read(session: Recording) -> None:
             TorsoImuStream: ("publish_time",),
         }
     )
-    # Before anything else takes memory: the commands take much until their torque is known.
+    # Before other arrays, because commands take much memory until their torque is computed.
     if session.topics.get(CommandStream.topic) and session.topics.get(MeasuredStream.topic):
         commanded_torque(session)
 
 
 def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:
-    """All figures of `ErrorStats`, of all joints, of limbs and of each joint."""
+    """All fields of `ErrorStats`, for all joints, limbs and each joint."""
     found = tracking.summary()
-    # As precise as the positions were recorded, and joint by joint in memory.
+    # In the precision of the recording, and with each joint contiguous in memory.
     size = np.empty(tracking.reference.shape[::-1], np.float32)
     for part in blocks(len(tracking.time)):
         size[:, part] = np.abs(tracking.reference[part] - tracking.measured[part]).T
@@ -277,7 +277,7 @@ def _success(
         return found
     moves = summary.moves
     if tracking and len(tracking.joints) + len(summary.absent) < N_JOINTS:
-        moves = False  # the base is not the motion's, but that of whoever moves the legs
+        moves = False  # another controller moves the legs, so the base is not the motion's
     links = "pelvis_frame"
     if moves and body.root_relative:
         links = "world" if body.world else "root_relative"
@@ -301,7 +301,7 @@ def _success(
 
 
 def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None, float | None]:
-    """Whether what was asked was played, and which share of it."""
+    """Whether the requested part was played, and the fraction of it."""
     ended = summary.termination
     reason = ended.guard or ended.undamped_in is not None or ended.reason
     completed = not reason if reason or ended.reason is not None else None
@@ -314,14 +314,14 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
     if (summary.settings or {}).get("stream.loop") or asked <= 0.0:
         return completed, None
     done = float(tracking.motion_time[-1]) - ended.start_s
-    if completed is None:  # nobody told, but the last frame of it was seen
+    if completed is None:  # not in the summary, but its last frame was seen
         completed = done >= asked - TO_ITS_END or None
     return completed, min(1.0, max(0.0, done / asked)) if done < asked - TO_ITS_END else 1.0
 
 
 def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
-    """The metrics, from the summary and the publish times of our commands and of states."""
-    # With --via arm_sdk, those on /lowcmd are the robot's own controller's.
+    """The timing, from the summary and the publish times of our commands and of states."""
+    # With --via arm_sdk, /lowcmd has the commands of the robot's own controller.
     ours = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
     stream, command = summary.stream, summary.topics.get(ours.topic)
     late = None if summary.simulated else stream  # a simulation waits for the loop
@@ -340,7 +340,7 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     if "/lowstate" in found.topics:
         order = np.argsort(session.measured.published, kind="stable")
         states = session.measured.published[order]
-        # Where the recorder was killed, states may be missing that commands in the file had seen.
+        # If the recorder was killed, states may be missing that recorded commands have used.
         seen = (commands <= states[-1]) | session.complete
         newest = np.searchsorted(states, commands, side="right") - 1
         found.state_age_us = _ages(commands, states, newest, seen)
@@ -355,9 +355,9 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
 
 
 def _prepared(commands: Ints) -> Ints:
-    """When a stream took the LowState of each command but the first: at the one before, ns.
+    """The time at which a stream took the LowState of each command but the first, ns.
 
-    After ticks that were left out it took the newest one anew.
+    That is the time of the command before it. After skipped ticks it took the newest state.
     """
     intervals = np.diff(commands)
     late = intervals > _LEFT_OUT * np.median(intervals)
@@ -367,6 +367,6 @@ def _prepared(commands: Ints) -> Ints:
 def _ages(
     commands: Ints, states: Ints, of: NDArray[np.intp], seen: NDArray[np.bool_]
 ) -> Percentiles | None:
-    """Of the states with indices `of`, us, at the commands; -1 where there is none."""
+    """Ages of the states with these indices at the commands, us; -1 without a state."""
     known = (of >= 0) & seen
     return percentiles((commands[known] - states[of[known]]) / 1e3) if known.any() else None

@@ -58,22 +58,22 @@ _STYLE: Final[Mapping[str, Any]] = {
 }
 
 LONGEST_VIEW: Final = 20.0
-"""A longer session shows its joints for so long only, around the greatest error, s."""
+"""Longest time for which the joints of a session are shown, around the largest error, s."""
 
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
 _PANELS: Final = 6
 _COMPARED: Final = (ReferenceStream.topic, MeasuredStream.topic)
 
-#: Of the overview, and of a panel elsewhere with what the figure needs above them, inches.
+#: Size of the overview; size of another figure's panel, and of the space above panels, inches.
 _INCHES: Final = (16.0, 10.0)
 _PANEL_WIDTH, _PANEL_HEIGHT, _HEAD = 7.0, 1.7, 0.5
-#: Height of panels of quantities below each other, inches, and least width of a figure, panels.
+#: Height of panels, inches, and least width of a figure, panels.
 _TALL_PANEL, _LEAST_WIDTH = 2.4, 1.5
 _DPI: Final = 100
 _MOST_POINTS: Final = 4000
 
-#: A phase that takes less of the width than this is not named in the figure.
+#: Phases with a smaller fraction of the width have no name in the figure.
 _NARROW: Final = 0.04
 
 _SIMULATED: Final = {"color": "#c2185b", "linewidth": 1.2}
@@ -95,10 +95,10 @@ def draw(
 ) -> None:
     """Write the figure of a session, see `Session.plot`, to a PNG, SVG or PDF.
 
-    The file appears when it is complete; `force`: one that exists already is replaced.
+    The file appears when it is complete. `force` replaces an existing file.
 
     Raises:
-        ConfigError: the path has another suffix, or there is no such quantity.
+        ConfigError: the suffix or the quantity is unknown.
         RecordingError: there is nothing to plot, no such joint, or the file cannot be written.
     """
     from matplotlib import style
@@ -131,7 +131,7 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
     whole = session.phases[0].start_s, session.phases[-1].end_s
     shown, worst = _joints_to_show(session, followed) if joints is None else (joints, None)
     view = _view(*whole, followed)
-    # Without the user's own style, in which the layout might not hold.
+    # Without the user's own style, which could break the layout.
     with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
         _draw_head(figure, session, followed)
@@ -150,7 +150,7 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
             axes.margins(y=0.1)
             _shade_phases(axes, session.phases)
             _set_times(axes, *view)
-            if joint == worst:  # below the title, whose line has no room beside the figures
+            if joint == worst:  # below the title, because the title's line has no room
                 _annotate(
                     axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
                 )
@@ -161,14 +161,14 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
 
 
 def _indices(joints: Sequence[str] | str) -> list[int]:
-    """The joints whose names match, each once, in the order of the patterns."""
+    """The joints whose names match, without duplicates, in the order of the patterns."""
     found: dict[int, None] = {}
     for pattern in [joints] if isinstance(joints, str) else joints:
         try:
             named = re.compile(f"(?:{pattern})(?:_joint)?")
         except re.error as error:
             raise RecordingError(
-                f"{pattern!r} is no regular expression: {error}.", "Name a joint, or left_.*"
+                f"{pattern!r} is not a regular expression: {error}.", "Name a joint, or left_.*"
             ) from error
         matching = [i for i, name in enumerate(JOINT_NAMES) if named.fullmatch(name)]
         if not matching:
@@ -178,12 +178,12 @@ def _indices(joints: Sequence[str] | str) -> list[int]:
             )
         found |= dict.fromkeys(matching)
     if not found:
-        raise RecordingError("There is no joint to plot.", "Name one, or leave the joints out.")
+        raise RecordingError("There is no joint to plot.", "Name a joint, or omit the joints.")
     return list(found)
 
 
 def _joints_to_show(session: Recording, tracking: Tracking | None) -> tuple[list[int], int | None]:
-    """Of each limb the joint with the widest range, and the worst of the others, if known."""
+    """The joint with the widest range of each limb, and the worst other joint, if known."""
     span = np.ptp(tracking.reference if tracking else session.reference.q, axis=0)
     limbs = tracking.limbs if tracking else JOINT_GROUPS
     widest = [max(joints, key=lambda joint: float(span[joint])) for joints in limbs.values()]
@@ -204,7 +204,7 @@ def _view(first: float, last: float, tracking: Tracking | None) -> tuple[float, 
 
 
 def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """Middles (B,) of bins of 0.1 s or more, and the RMS of errors (K, J) in each; nan if empty."""
+    """Centres (B,) of bins of 0.1 s or more, and RMS of errors (K, J) in each; nan if empty."""
     width = max(_NARROWEST_BIN, float(times[-1] - times[0]) / _MOST_BINS)
     edges = times[0] + width * np.arange(int((times[-1] - times[0]) / width) + 2)
     counts, _ = np.histogram(times, edges)
@@ -302,7 +302,7 @@ def _annotate(
 def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:
     """A row for each joint and a column for each quantity, over time, with the phases shaded.
 
-    Fewer joints than quantities are the columns instead, so that the figure is no strip.
+    If there are fewer joints than quantities, joints are the columns, for a better shape.
     """
     from matplotlib import style
     from matplotlib.figure import Figure
@@ -311,7 +311,7 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
     ends = [line.time[[0, -1]] for one in signals for line in one.lines if len(line.time)]
     if not ends:
         raise RecordingError(
-            f"{session.path} has nothing to plot of {', '.join(one.title for one in signals)}.",
+            f"{session.path} has no data for {', '.join(one.title for one in signals)}.",
             "Record while a robot, or a simulator, publishes its state and a motion is streamed.",
         )
     first, last = min(float(one[0]) for one in ends), max(float(one[1]) for one in ends)
@@ -351,7 +351,7 @@ def _draw_panel(axes: Axes, drawn: Signal, joint: int, view: tuple[float, float]
 
 
 def _shade_phases(axes: Axes, phases: Sequence[PhaseInterval]) -> None:
-    """Shade the phases in which nothing is played."""
+    """Shade the phases without playback."""
     for one in phases:
         if one.phase in SHADES:
             axes.axvspan(one.start_s, one.end_s, color=SHADES[one.phase], linewidth=0)

@@ -1,4 +1,4 @@
-"""The signals of the joints over time, as plots show them: what was asked for and what was done."""
+"""Commanded and measured signals of the joints over time, for plots."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ __all__ = [
 ]
 
 Quantity = Literal["q", "dq", "tau", "error"]
-"""What a plot shows of a joint: position, velocity, torque, tracking error."""
+"""Quantities of a plot: joint position, velocity, torque, tracking error."""
 
 QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
 
-#: Where a stream has no sample for longer than this, s, its line is interrupted.
+#: A line is interrupted at gaps longer than this, s.
 _GAP: Final = 0.05
 
 SIMULATED: Final = "/simulated/joint_states"
-"""Where `g1stream simulate` writes the joints that it simulated."""
+"""The topic of the joints that `g1stream simulate` computed."""
 
 
 class Line(NamedTuple):
     """A line of a plot for each joint.
 
     Attributes:
-        name: what it is, such as "measured".
-        time: (N,) s on the motion's clock, rising.
-        values: (N, 29) in the unit of the signal, nan where there are none; each joint's follow one
-            another in memory.
+        name: its label, such as "measured".
+        time: (N,) s on the motion's clock, increasing.
+        values: (N, 29) in the unit of the signal, nan if missing. Each joint's values are
+            contiguous in memory.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Line(NamedTuple):
 
     @classmethod
     def from_samples(cls, name: str, time: Floats, values: Floats) -> Line:
-        """In the order of time, interrupted where the samples have a gap."""
+        """A line with samples in the order of time, interrupted at gaps."""
         if (np.diff(time) < 0.0).any():
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
@@ -75,8 +75,8 @@ class Signal:
     """One quantity of all joints.
 
     Attributes:
-        title, unit: of the axis.
-        lines: those that the session has.
+        title, unit: labels of the axis.
+        lines: the available lines.
     """
 
     title: str
@@ -85,14 +85,14 @@ class Signal:
 
     @property
     def label(self) -> str:
-        """Of the axis: name and unit."""
+        """Label of the axis: name and unit."""
         return f"{self.title}, {self.unit}"
 
 
 def signal(session: Recording, quantity: Quantity) -> Signal:
-    """A quantity of the joints of a session; without lines where nothing of it was recorded.
+    """A quantity of a session's joints; without lines if nothing of it was recorded.
 
-    Positions, velocities and errors are in degrees. The torque asked for is that of
+    Positions, velocities and errors are in degrees. The commanded torque is
     `Session.commanded_torque`.
     """
     makers: dict[Quantity, Callable[[Recording], Signal]] = {
@@ -105,10 +105,10 @@ def signal(session: Recording, quantity: Quantity) -> Signal:
 
 
 def chosen_quantities(names: Sequence[str]) -> list[Quantity]:
-    """The quantities of these names, in their order.
+    """Validate names of quantities, and return them in their order.
 
     Raises:
-        ConfigError: there are none, or there is no such quantity.
+        ConfigError: the list is empty, or a quantity is unknown.
     """
     chosen = [known for name in names for known in QUANTITIES if known == name]
     if len(chosen) < max(len(names), 1):
@@ -122,12 +122,12 @@ def chosen_quantities(names: Sequence[str]) -> list[Quantity]:
 def min_max(values: Floats, most: int) -> Ints:
     """Indices of about `most` of N samples, in order, that show the same peaks in a plot.
 
-    They are the least, the greatest and the first nan of each of `most` // 2 runs of samples; all
-    where there are no more. It takes time in proportion to N.
+    Each of `most` // 2 runs of samples gives its minimum, its maximum and its first nan. If N is
+    not larger than `most`, all indices are returned. The time is proportional to N.
 
     Args:
         values: (N,).
-        most: indices, beside those of nan.
+        most: number of indices, not counting those of nan.
     """
     n = len(values)
     if n <= most:
@@ -138,7 +138,7 @@ def min_max(values: Floats, most: int) -> Ints:
     if absent.any():
         lowest = np.where(absent, np.inf, runs).argmin(axis=1)
         highest = np.where(absent, -np.inf, runs).argmax(axis=1)
-        kept = [lowest, highest, absent.argmax(axis=1)]  # the first sample where none is nan
+        kept = [lowest, highest, absent.argmax(axis=1)]  # index 0 if none is nan
     else:
         kept = [runs.argmin(axis=1), runs.argmax(axis=1)]
     indices: Ints = np.unique((np.stack(kept) + width * np.arange(len(runs))).clip(max=n - 1))
@@ -150,7 +150,7 @@ def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple
     if session.topics.get(ReferenceStream.topic):
         reference = session.reference.read("phase", column)
         asked = _degrees(getattr(reference, column))
-        asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
+        asked[reference.phase == Phase.DAMP] = np.nan  # DAMP has no target
         lines.append(Line.from_samples("reference", reference.time, asked))
     elif session.topics.get(CommandStream.topic):
         command = session.command.read(column)
@@ -169,7 +169,7 @@ def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple
 
 
 def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Line]:
-    """What `g1stream simulate` added to the session, in the unit of the signal; or nothing."""
+    """Results of `g1stream simulate` in the session, in the unit of the signal; may be empty."""
     if not session.topics.get(SIMULATED):
         return []
     template = JointStatesTemplate(JOINT_NAMES, ("position", "velocity", "effort"))
@@ -195,7 +195,7 @@ def _errors(session: Recording) -> tuple[Line, ...]:
 
 
 def _degrees(values: Floats, less: Floats | None = None) -> Floats:
-    """(N, 29) rad, or their difference, in degrees; each joint's follow one another in memory."""
+    """(N, 29) rad, or their difference, in degrees; each joint is contiguous in memory."""
     degrees = np.empty(values.shape, order="F")
     for part in blocks(len(values)):
         degrees[part] = np.degrees(values[part] if less is None else values[part] - less[part])

@@ -1,4 +1,4 @@
-"""Makes the summary of a session, from its file or from the programs that made it."""
+"""Make the summary of a session, from its file or from the programs that recorded it."""
 
 from __future__ import annotations
 
@@ -62,21 +62,21 @@ __all__ = [
 ]
 
 FEEDFORWARD: Final = "feed-forward: "
-"""What the stream logs of its feed-forward begins with this."""
+"""Prefix of the stream's log messages about its feed-forward."""
 
-# What a robot does not notice is in the figures and is no problem.
-#: A publish interval of more than so many medians is a gap.
+# Below these, the robot is not affected, so the figures show it but it is no problem.
+#: A publish interval of more than this many medians is a gap.
 _GAP: Final = 3.0
-#: A command this late, s, or this share of commands left out.
+#: Lateness of a command, s, and fraction of skipped commands.
 _LONG_OVERRUN: Final = 0.02
 _MOST_SKIPPED: Final = 0.01
-#: Simulated over real time. At 0.8 the joints accelerate 1.6 times as hard as in the motion.
+#: Simulated time over real time. At 0.8 joints accelerate 1.6 times as hard as in the motion.
 _SLOW_SIMULATOR: Final = 0.8
-#: A robot's time that stands still or leaps for so long, s, changes what a controller is to do.
+#: A stop or jump of the robot's time by this, s, changes the controller's task.
 _STALL: Final = 0.04
-#: A recording that goes on for so long, ns, after the last reference has not merely ended first.
+#: A recording that goes on for this long after the last reference did not just end first, ns.
 _SILENCE: Final = 500_000_000
-#: Commands whose CRC is checked, evenly spread over a longer session.
+#: Number of commands whose CRC is checked, evenly spaced in a longer session.
 _MOST_CHECKED: Final = 5000
 
 
@@ -87,7 +87,7 @@ def summarise(session: Recording) -> Summary:
     Raises:
         RecordingError: the file is damaged.
     """
-    with suppress(RecordingError):  # whoever uses a column says what is wrong with it
+    with suppress(RecordingError):  # reported when a column is used
         session.read(  # in one pass
             {
                 ReferenceStream: ("motion_time", "phase", "played", "q"),
@@ -120,7 +120,7 @@ def summarise(session: Recording) -> Summary:
         if n
     }
     simulated = (info.log_clock or "").startswith("simulated")
-    if simulated:  # the latency of its times is a number that the rollout was given
+    if simulated:  # its latency is only a parameter of the rollout
         for stats in topics.values():
             stats.latency_us = None
     missing = {JOINT_NAMES.index(name) for name in info.absent if name in JOINT_NAMES}
@@ -155,7 +155,7 @@ def summarise(session: Recording) -> Summary:
             if event.text.startswith(FEEDFORWARD)
         ],
         recorder=recorder,
-        # The error over several motions is that of none.
+        # An error over several motions would describe none of them.
         tracking=followed if played(session.phases) <= 1 else None,
         topics=topics,
         attachments_bytes={name: len(data) for name, data in session.attachments.items()},
@@ -180,8 +180,8 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
     """The rate, gaps and latency of a topic.
 
     Args:
-        stream: with one message at least.
-        lost: samples known to be lost.
+        stream: stream with at least one message.
+        lost: number of samples known to be lost.
     """
     times_ns = np.sort(stream.published)
     intervals = np.diff(times_ns) / 1e9
@@ -198,7 +198,7 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
 
 
 def percentiles(values: Floats) -> Percentiles:
-    """Of one value at least."""
+    """Percentiles of at least one value."""
     p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
     return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)
 
@@ -213,7 +213,7 @@ def summarise_run(
     recorder: RecorderSummary | None = None,
     tracking: TrackingSummary | None = None,
 ) -> Summary:
-    """The summary of a run, from what its programs counted; no file is read."""
+    """The summary of a run from the counters of its programs, without reading a file."""
     recorded = recorder or RecorderSummary()
     paths = [Path(path) for path in recorded.paths]
     steps = sum(step.step_ns for step in recorded.clock_steps)
@@ -242,7 +242,7 @@ def summarise_run(
 
 
 def find_problems(summary: Summary) -> Iterator[str]:
-    """What is wrong, by the figures of the summary; a sentence each, the most important first."""
+    """The problems that the summary shows, a sentence each, the most important first."""
     undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
     if undamped is not None:
         yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
@@ -250,9 +250,9 @@ def find_problems(summary: Summary) -> Iterator[str]:
         yield f"{guard[0].upper()}{guard[1:]}."
     if spoilt := summary.spoilt_by_ms:
         yield (
-            f"The robot's time stood still or leapt by {spoilt:.0f} ms in PLAY, where nothing held "
-            "its pelvis: this run tells nothing of the controller or policy. Play it again on a "
-            "machine with nothing else to do."
+            f"The robot's time stopped or jumped by {spoilt:.0f} ms in PLAY while nothing held its "
+            "pelvis. This run does not show the quality of the controller or policy. Play it again "
+            "on a machine without other load."
         )
     if stream:
         yield from _stream_problems(stream)
@@ -286,10 +286,10 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
     ):
         yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
     if stream.time_scale is not None and stream.time_scale < _SLOW_SIMULATOR:
-        so = "and the motion with it"
+        so = "and so did the motion"
         if stream.waited_s is None:
             faster = 1.0 / stream.time_scale
-            so = f"in which the robot had to move {faster:.1f} times as fast as the motion"
+            so = f"so the robot had to move {faster:.1f} times as fast as the motion"
         yield (
             f"The simulator ran at {stream.time_scale:.2f} of real time, {so}: it needs more CPU."
         )
@@ -300,7 +300,7 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
         )
     if stream.saturated_ticks:
         ticks = most(stream.saturated_ticks)
-        yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."
+        yield f"Ticks with feed-forward torques clamped to their limits: {ticks}."
 
 
 def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
@@ -321,24 +321,24 @@ def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
 
 
 def played(phases: list[PhaseInterval]) -> int:
-    """How many motions were played, or one how many times."""
+    """Number of motions that were played, counting repetitions."""
     return sum(one.phase is Phase.PLAY for one in phases)
 
 
 def _file_problems(session: Recording) -> Iterator[str]:
     if (times := played(session.phases)) > 1:
         yield (
-            f"{times} motions were played in this session, each with a PLAY of its own, so that "
-            "tracking has no one reference to compare with. Record each into a file of its own."
+            f"{times} motions were played in this session, each with its own PLAY, so there is no "
+            "single reference for the tracking. Record each into its own file."
         )
     for number, reason in session.absent_parts.items():
-        yield f"Part {number} is absent: {reason}"
+        yield f"Part {number} is missing: {reason}"
     if not (session.complete or session.absent_parts):
         yield (
-            "The recorder did not close the file: it ends with its last complete chunk, and how "
-            "many samples were lost is not known"
+            "The recorder did not close the file. It ends with its last complete chunk, and the "
+            "number of lost samples is unknown"
             + (
-                f"; {counted(session.unread, 'byte')} behind it are no whole record."
+                f"; {counted(session.unread, 'byte')} after it are an incomplete record."
                 if session.unread
                 else "."
             )
@@ -346,7 +346,7 @@ def _file_problems(session: Recording) -> Iterator[str]:
 
 
 def _sample_problems(session: Recording) -> Iterator[str]:
-    """What is wrong with the samples themselves; that they cannot be decoded is one, too."""
+    """Problems of the samples themselves, including samples that cannot be decoded."""
     try:
         yield from _ignored_commands(session)
         yield from _invalid_attitudes(session)
@@ -367,7 +367,7 @@ def _ignored_commands(session: Recording) -> Iterator[str]:
         if other := int((~np.isin(meant, robots)).sum()):
             yield (
                 f"{_share(other, len(meant))} of the commands on {CommandStream.topic} have "
-                f"another mode_machine than the robot, {int(robots[-1])}: it ignores them."
+                f"another mode_machine than the robot ({int(robots[-1])}), which ignores them."
             )
     for kind in has:
         if kind is not MeasuredStream and len(session.stream(kind).read("mode_machine")):
@@ -388,9 +388,9 @@ def _share(n: int, of: int) -> str:
 
 
 def _longest_stall(session: Recording) -> float | None:
-    """The longest step in PLAY of the robot's time, by publish times or ticks, ms; None if short.
+    """The longest step of the robot's time in PLAY, by publish times or ticks, ms; None if short.
 
-    After the last state of all, the time to the end of PLAY is a step, too.
+    After the last state, the time to the end of PLAY is a step, too.
     """
     reference, measured = session.reference, session.measured.read("tick")
     playing = reference.published[reference.phase == Phase.PLAY]
@@ -398,10 +398,10 @@ def _longest_stall(session: Recording) -> float | None:
     order = np.argsort(measured.published, kind="stable")
     order = order[measured.published[order] >= first]
     times = measured.published[order]
-    n = int(np.searchsorted(times, last)) + 1  # with the state that ends a stall at PLAY's end
+    n = int(np.searchsorted(times, last)) + 1  # including the state that ends a stall at PLAY's end
     steps = np.diff(times[:n], append=last).clip(0) / 1e6
     ticks = np.diff(measured.tick[order][:n].astype(np.int64)) % 2**32
-    ticks = ticks[ticks < 2**31]  # else they began anew
+    ticks = ticks[ticks < 2**31]  # otherwise they restarted
     longest = max(float(steps.max()), float(ticks.max(initial=0)))
     return longest if longest > max(1e3 * _STALL, _GAP * float(np.median(steps))) else None
 
@@ -411,13 +411,13 @@ def _invalid_attitudes(session: Recording) -> Iterator[str]:
         valid = is_unit(session.measured.read("imu_quat_wxyz").imu_quat_wxyz)
         if n := int((~valid).sum()):
             yield (
-                f"The IMU's quaternion in {n} of {len(valid)} LowStates is no rotation, as 0, 0, "
-                "0, 0 is none: /measured/tf has the last valid one there, or the reference's."
+                f"The IMU's quaternion in {n} of {len(valid)} LowStates is not a rotation (0, 0, "
+                "0, 0, for example). /measured/tf has the last valid one there, or the reference's."
             )
 
 
 def _last_command(session: Recording) -> int:
-    """When the last command was received, ns since the epoch; 0 where there was none."""
+    """Time of the last received command, ns since the epoch; 0 without commands."""
     has_commands = session.topics.get(CommandStream.topic)
     return int(session.command.log_time.max(initial=0)) if has_commands else 0
 
@@ -433,7 +433,7 @@ def _termination(
     settings = (info.config or {}).get("stream")
     start = settings.get("start") if isinstance(settings, dict) else None
     guard = next((event.text for event in session.log if event.name == GUARD), None)
-    known = session.attached is None  # else phases before and after PLAY are nobody's
+    known = session.attached is None  # without our reference, other phases are unknown
     undamped = None if guard or not known else _undamped_in(phases, info, stream, recorder, streams)
     reason = guard if undamped is None else "the stream process ended without DAMP"
     values = {
@@ -448,10 +448,10 @@ def _termination(
 
 
 def _played_s(session: Recording) -> float:
-    """How much of a motion was played, in its own time: no clock can be set in that."""
+    """Played length of a motion in its own time, which clock changes do not affect."""
     reference = session.reference
     times = reference.motion_time[reference.phase == Phase.PLAY]
-    forward = np.diff(times[np.abs(times) < NUMBER]).clip(0.0)  # it begins anew when it is looped
+    forward = np.diff(times[np.abs(times) < NUMBER]).clip(0.0)  # a loop restarts it
     return float(forward.sum() + np.median(forward)) if len(forward) else 0.0
 
 
@@ -462,10 +462,10 @@ def _undamped_in(
     recorder: RecorderSummary | None,
     streams: Mapping[str, Stream],
 ) -> Phase | None:
-    """The last phase, if the references ended in it and not because the recording did."""
+    """The last phase, if the references ended in it but the recording went on."""
     if not phases or phases[-1].phase >= Phase.DAMP or stream:
         return None
-    # A stream's own recorder ends after it, and is told how it went.
+    # The recorder of a stream ends after it, and receives its summary.
     outlived = info.config is not None and recorder is not None and not recorder.stopped
     end = max(int(stream.log_time[-1]) for stream in streams.values())
     silence = end - int(streams[ReferenceStream.topic].log_time[-1])
@@ -473,7 +473,7 @@ def _undamped_in(
 
 
 def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """By key, such as `stream.rate`, what is not this version's default."""
+    """The settings that differ from this version's defaults, by key such as `stream.rate`."""
     defaults = flat(Config().model_dump(mode="json"))
     return {key: value for key, value in flat(config).items() if value != defaults.get(key)}
 

@@ -1,6 +1,6 @@
-"""The summary of a session: what `stream`, `record`, `demo` and `info` print, and `--json` dumps.
+"""The summary of a session, which `stream`, `record`, `demo` and `info` print and `--json` dumps.
 
-Field names are those of the JSON; units are part of them. None stands for what is not known.
+Field names are those of the JSON, with units. None means unknown.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ __all__ = [
 ]
 
 TO_ITS_END: Final = 0.1
-"""Played to within this of the end that was asked for, s, a motion was played to its end."""
+"""A motion that was played to within this of the requested end, s, was played to its end."""
 
 _LABEL: Final = 14
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
-#: A motion that waited for longer for the robot's time is shown, s.
+#: A longer wait of the motion for the robot's time is shown, s.
 _WAITED: Final = 0.05
-#: Supports with which the pelvis moves as the robot does, or as the motion does.
+#: Supports with which the pelvis moves like the robot, or like the motion.
 _MOVES: Final = {"follow", "free", "feet"}
-#: How it ended, where nobody told.
+#: Text for an unknown end.
 _UNTOLD: Final = "not recorded"
 
 
@@ -68,14 +68,12 @@ class Termination(Record):
     """How a session ended.
 
     Attributes:
-        reason: why the stream ended early; empty when it ended as asked, None where that is not
-            known.
-        undamped_in: the phase in which the stream process ended without DAMP; None where it did
-            not.
-        guard: what the guard process logged when it damped the robot; None where it did not.
-        played_s: how much of the motion was played, in its own time.
-        motion_s: how long the motion is.
-        start_s: where in the motion PLAY was to begin.
+        reason: why the stream ended early; empty if it ended as asked, None if unknown.
+        undamped_in: phase in which the stream process ended without DAMP; None if it damped.
+        guard: message of the guard process when it damped the robot; None if it did not.
+        played_s: played length of the motion, in its own time.
+        motion_s: duration of the motion.
+        start_s: requested start in the motion.
     """
 
     reason: str | None = None
@@ -90,20 +88,20 @@ class SuccessMetrics(Record):
     """Whether the motion was played to its end and followed.
 
     Attributes:
-        completed: whether the stream played what it was asked to; None where that is not known.
-        progress: share of what was asked that was played, 0 to 1.
-        links: what the links' distance is measured by: `world` where nothing holds the pelvis,
-            `root_relative` or `pelvis_frame` else.
-        max_link_error_mm: the greatest of the frames' mean distances of all links.
-        success: completed, and that distance at most 500 mm in every frame, as PHC, OmniH2O and
-            ASAP ask; None where one of the two is not known.
-        success_strict: the same with BeyondMimic's limits on heights of pelvis, hands and feet
-            (250 mm) and the pelvis's tilt (0.8) in place of that distance; None where something
-            holds the pelvis.
-        success_sonic: the same with SONIC's limits on those heights (250 mm) and the pelvis's
-            attitude (1 rad); likewise.
-        spoilt_by_ms: see `Summary`. A run that was spoilt has not failed: of the three, those that
-            would be false are None.
+        completed: whether the stream played the requested part; None if unknown.
+        progress: played fraction of the requested part, 0 to 1.
+        links: the distance of the links that is used: `world` if nothing holds the pelvis,
+            otherwise `root_relative` or `pelvis_frame`.
+        max_link_error_mm: largest mean distance of all links in a frame.
+        success: completed, with this distance at most 500 mm in every frame, as in PHC, OmniH2O
+            and ASAP; None if one of the two is unknown.
+        success_strict: completed within BeyondMimic's limits on heights of pelvis, hands and feet
+            (250 mm) and the pelvis's tilt (0.8) instead of this distance; None if something holds
+            the pelvis.
+        success_sonic: completed within SONIC's limits on those heights (250 mm) and the pelvis's
+            attitude (1 rad); None likewise.
+        spoilt_by_ms: see `Summary`. A spoilt run has not failed: instead of false, the three
+            results above are None.
     """
 
     completed: bool | None = None
@@ -117,18 +115,18 @@ class SuccessMetrics(Record):
 
 
 class MessageStats(Record):
-    """The messages of a topic; for those that the recorder derives, only their number.
+    """Statistics of a topic's messages; for derived topics only their number.
 
     Attributes:
-        count: messages in the file.
-        lost: samples known to be lost.
+        count: number of messages in the file.
+        lost: number of samples known to be lost.
         rate_hz: messages per second from the first to the last publish time.
         gaps: publish intervals of more than 3 medians.
         longest_interval_s: between two publish times.
-        latency_us: log time - publish time; where the two clocks differ, that is in it. None where
-            both are a simulation's.
-        clock_offset_s: what must be added to publish times to be on the recorder's clock; 0 where
-            the clocks agree as far as can be seen.
+        latency_us: log time - publish time, including any offset of the clocks; None if both are
+            simulated.
+        clock_offset_s: offset to add to publish times to get the recorder's clock; 0 if no offset
+            can be detected.
     """
 
     count: Int
@@ -141,38 +139,38 @@ class MessageStats(Record):
 
 
 class Summary(Record):
-    """What is in a session and how well it went.
+    """Contents and results of a session.
 
     Attributes:
         files_bytes: path of each file -> size, oldest first.
         complete: whether all files are there and were closed properly.
         first_ns, last_ns: log times of the first and the last message, since the epoch; the last as
             if the clock had not been set in between.
-        simulated: whether its times are a simulation's, as in a rollout, and not of any clock.
-        host, domain, interface: where it was recorded, or streamed.
-        versions: of g1stream and the packages that it used.
-        motion: what was played.
-        attached: how it was found, where it was attached afterwards.
-        log: what was made of the log of another program; empty of a session.
-        params: parameters of the robot that were given; None for the default ones.
-        settings: those that are not the defaults, keyed like `stream.rate`.
+        simulated: whether its times are simulated, as in a rollout.
+        host, domain, interface: where it was recorded or streamed.
+        versions: versions of g1stream and the packages that it used.
+        motion: the motion that was played.
+        attached: how the motion was found, if it was attached afterwards.
+        log: how another program's log was interpreted; empty for a session.
+        params: given parameters of the robot; None for the default ones.
+        settings: settings that differ from the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
-        joints: names of those that played the motion; None where that is not known.
-        absent: names of those that the robot does not have.
+        joints: names of the joints that played the motion; None if unknown.
+        absent: names of the joints that the robot lacks.
         phases: in order.
         termination: how it ended.
-        feedforward_log: what was logged of feed-forward, also by a stream that was killed.
-        recorder: what the recorder counted.
-        tracking: how closely the robot followed.
-        worst: the greatest error of a joint, and its cause.
-        spoilt_by_ms: the longest time for which the robot's own time stood still or leapt in PLAY,
-            above 40 ms and where nothing held the pelvis: the run tells nothing of its controller.
-        success, terminations: of a robot that nothing held; only `g1stream info` fills them in,
-            from `metrics`.
-        topics: the messages of each topic.
+        feedforward_log: log messages about feed-forward, also of a killed stream.
+        recorder: counters of the recorder.
+        tracking: the tracking error.
+        worst: the largest error of a joint, and its cause.
+        spoilt_by_ms: longest stop or jump of the robot's own time in PLAY, if above 40 ms and if
+            nothing held the pelvis; the run then does not show the quality of its controller.
+        success, terminations: for a robot that nothing held; only `g1stream info` sets them, from
+            `metrics`.
+        topics: statistics of each topic's messages.
         attachments_bytes: name -> size.
-        problems: what is wrong, a sentence each, the most important first.
-        stream: what the stream counted.
+        problems: problems, a sentence each, the most important first.
+        stream: counters of the stream.
     """
 
     files_bytes: dict[str, Int] = {}
@@ -236,7 +234,7 @@ class Summary(Record):
 
 
 def outcome(summary: Summary) -> str:
-    """How it went, in one sentence."""
+    """The result of the session, in one sentence."""
     tracking, ended = summary.tracking, _ended(summary)
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
@@ -259,14 +257,14 @@ def outcome(summary: Summary) -> str:
 
 
 def most(ticks: Mapping[str, int]) -> str:
-    """The first joints with their ticks, and how many others there are."""
+    """The first joints with their ticks, and the number of the others."""
     named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
     rest = len(ticks) - _MOST_JOINTS
     return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
 
 
 def session_facts(summary: Summary) -> list[tuple[str, str]]:
-    """What ran, when, where and with which settings: labels and texts."""
+    """Time, place and settings of the run, as labels and texts."""
     motion, recorder, stream = summary.motion, summary.recorder, summary.stream
     ramp = ""
     if stream and stream.ramp_s is not None and stream.ramp_speed_rad_s is not None:
@@ -306,7 +304,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
-    """What the stream counted: labels and texts."""
+    """The stream's counters, as labels and texts."""
     skipped, late = stream.skipped_ticks, stream.lateness_us
     commands = "none sent" if stream.commands == 0 else ""
     if stream.commands:
@@ -330,7 +328,7 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         time = f"{time}; " if time else ""
         time += f"the motion waited {stream.waited_s:.2f} s for it"
     if stream.slowed not in (None, 1.0):
-        slowed = f"{stream.slowed:g} times, to fit the joints' speeds"
+        slowed = f"{stream.slowed:g} times, to keep the joints' speed limits"
     held = (
         ("clamped", "joint targets at their limits", stream.clamped_ticks),
         ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),
@@ -358,7 +356,7 @@ def _filled(*facts: tuple[str, str]) -> list[tuple[str, str]]:
 
 
 def _lines(facts: Iterable[tuple[str, str]]) -> list[str]:
-    """Facts, each label once where several in a row have it."""
+    """Lines of facts. A repeated label is printed once."""
     lines, before = [], ""
     for label, text in _filled(*facts):
         lines.append(labelled(("" if label == before else label).ljust(_LABEL), text))
@@ -405,7 +403,7 @@ def _part(motion: MotionInfo) -> str:
 
 
 def _joints(summary: Summary) -> str:
-    """Which joints played the motion, limbs that did as a whole by their name; empty if all did."""
+    """The joints that played the motion, with whole limbs by name; empty if all played."""
     if not summary.joints or not (summary.absent or len(summary.joints) < N_JOINTS):
         return ""
     played, missing, named = {*summary.joints}, {*summary.absent}, []
@@ -427,7 +425,7 @@ def _joints(summary: Summary) -> str:
 
 
 def _ended(summary: Summary) -> str:
-    """How it ended and how much was played; empty where neither is known."""
+    """How the session ended and how much was played; empty if both are unknown."""
     termination = summary.termination
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
     asked = (summary.settings or {}).get("stream.duration")
@@ -453,7 +451,7 @@ def _ended(summary: Summary) -> str:
         return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
     of = f"{motion:.1f} s"
     if termination.reason and isinstance(asked, (int, float)) and asked < rest:
-        of = f"the {asked:.1f} s that were asked for"
+        of = f"the requested {asked:.1f} s"
     return f"{how}; played {played:.1f} of {of}" + (f" from {start:.1f} s" if start else "")
 
 
@@ -472,15 +470,15 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
                 f"{math.degrees(tracking.joints[worst].rmse_rad):.3f}",
             )
         )
-    excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
+    excluded = f"; {tracking.excluded_states} in gaps of the reference excluded"
     compared = (
         f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
         + (excluded if tracking.excluded_states else "")
     )
     if summary.attached and summary.attached.by_robot:
-        delay = "not known: the robot's own joints told when the motion began"
+        delay = "unknown: the robot's own joints gave the start of the motion"
     elif not summary.topics and tracking.all_joints.delay_s is None:
-        delay = "found in recordings only: give --record"
+        delay = "only computed for recordings: give --record"
     else:
         delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     worst = str(summary.worst) if summary.worst else ""
@@ -492,7 +490,7 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
 
 
 def _success(summary: Summary) -> list[tuple[str, str]]:
-    """Whether the run is a success, by each of the criteria."""
+    """Whether the run is a success, by each criterion."""
     found, ends = summary.success, summary.terminations
     if found is None:
         return []
@@ -521,9 +519,9 @@ def _attached(info: AttachedInfo) -> str:
 def _delay(tracking: TrackingSummary, preview: float | None) -> str:
     delay = tracking.all_joints.delay_s
     if delay is None:
-        return "not determined: too little moves, or no delay explains the error"
+        return "unknown: too little movement, or no delay explains the error"
     side = "behind" if delay >= 0 else "ahead of"
-    # Commands are ahead of the reference, so that the robot, which is behind them, is not.
+    # Commands are ahead of the reference, to compensate the robot's delay.
     behind = (
         f", {(delay + preview) * 1e3:.1f} ms behind its commands, which are sent "
         f"{preview * 1e3:.1f} ms ahead (stream.preview)"
@@ -572,7 +570,7 @@ def _change(change: FeedForwardChange) -> str:
 
 
 def _message_lines(summary: Summary) -> list[str]:
-    """A row for each topic of DDS; the number of the others and of their messages."""
+    """A row for each DDS topic; for other topics only their number and messages."""
     topics = {
         topic: stats
         for topic, stats in summary.topics.items()
@@ -586,7 +584,7 @@ def _message_lines(summary: Summary) -> list[str]:
     lines = table(rows, left=(0,)) if topics else []
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
-    # A recorder writes the robot's description by itself.
+    # A recorder always writes the robot's description.
     if others and not (summary.recorder and summary.first_ns is None):
         text = f"{len(others)}, with {counted(sum(others), 'message')}"
         lines += _lines([("other topics", text)])

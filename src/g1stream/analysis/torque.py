@@ -1,4 +1,4 @@
-"""Torque, its limits, and the work that the motors did."""
+"""Joint torques, their limits, and the work of the motors."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 __all__ = ["JointTorque", "TorqueMetrics", "commanded_torque", "torque_metrics"]
 
 _COMMANDED: Final = ("q", "dq", "tau", "kp", "kd")
-"""The columns of a command that make its torque."""
+"""The columns of a command that determine its torque."""
 
-#: A motor at this share of its limit, or more, is at its limit.
+#: A motor at this fraction of its limit, or more, is at its limit.
 _SATURATED: Final = 0.99
 
 
 class JointTorque(Record):
-    """The torque of a joint, as its motor estimates it.
+    """The torque of a joint, as estimated by its motor.
 
     Attributes:
         limit_nm: the smaller of the motor's limit and the URDF's effort.
         rms_nm: root mean square.
-        p99_nm, max_nm: of its absolute value.
+        p99_nm, max_nm: percentile and maximum of its absolute value.
         use: p99_nm / limit_nm.
-        saturated: share of the states at 99 % of the limit or more.
+        saturated: fraction of the states at 99 % of the limit or more.
         commanded_rmse_nm: root mean square of commanded - estimated; None without commands.
-        commanded_beyond: share of the states at which more than the limit was commanded.
-        work_j: integral of |tau dq|; None where no velocities are reported.
-        net_work_j: integral of tau dq: what the motor gave less what it took.
+        commanded_beyond: fraction of the states with a commanded torque above the limit.
+        work_j: integral of |tau dq|; None without reported velocities.
+        net_work_j: integral of tau dq: delivered minus absorbed work.
     """
 
     limit_nm: float
@@ -58,17 +58,17 @@ class JointTorque(Record):
 
 
 class TorqueMetrics(Record):
-    """The torque of the motors: in PLAY, or in the whole session where nothing was played.
+    """The torque of the motors in PLAY, or in the whole session if no motion was played.
 
     Attributes:
-        in_play: whether it is that of PLAY.
-        duration_s: gaps left out.
-        rms_nm: of all joints together.
-        use: the highest of a joint.
-        most_used: that joint.
-        saturated: share of the states at which at least one joint is at its limit.
-        commanded_rmse_nm: of all joints together.
-        work_j, net_work_j: of all joints together.
+        in_play: whether only PLAY is used.
+        duration_s: length without gaps.
+        rms_nm: over all joints.
+        use: the highest `use` of a joint.
+        most_used: name of that joint.
+        saturated: fraction of the states with at least one joint at its limit.
+        commanded_rmse_nm: over all joints.
+        work_j, net_work_j: sums over all joints.
         power_w: work_j per second.
         joints: by name.
     """
@@ -92,13 +92,13 @@ def torque_metrics(
     states: NDArray[np.intp] | None,
     joints: Sequence[int] | None = None,
 ) -> TorqueMetrics | None:
-    """The metrics of some states, or of all; None where the robot reports no torques.
+    """The torque metrics of some or all states; None if the robot reports no torques.
 
     Args:
-        session: with LowStates.
+        session: session with LowStates.
         limits: (29,) N·m.
-        states: (N,) which LowStates; all of them if None.
-        joints: motor indices of those that count; all if None.
+        states: (N,) indices of the LowStates to use; all if None.
+        joints: motor indices of the joints to use; all if None.
     """
     measured = session.measured.read("q", "dq", "tau")
     chosen = np.arange(len(measured)) if states is None else states
@@ -112,7 +112,7 @@ def torque_metrics(
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > MAX_GAP_NS] = 0.0
     counted = list(range(N_JOINTS) if joints is None else joints)
-    # By trapezoids: each state counts half of the interval before it and half of that after it.
+    # Trapezoidal rule: each state counts for half of the interval on either side.
     weights = 0.5 * (np.append(seconds, 0.0) + np.append(0.0, seconds))
     squares, greatest, work, net_work = np.zeros((4, N_JOINTS))
     saturated, known, beyond, apart = np.zeros((4, N_JOINTS))
@@ -135,7 +135,7 @@ def torque_metrics(
             apart += np.square(asked[there] - tau[there]).sum(axis=0)
             beyond += (np.abs(asked[there]) > limits).sum(axis=0)
     n = len(chosen)
-    # Joint by joint: the absolute values of all of them would take as much memory as the torques.
+    # Joint by joint, because absolute values of all would take as much memory as the torques.
     p99 = [np.percentile(np.abs(measured.tau[chosen, joint]), 99.0) for joint in counted]
     columns: dict[str, Floats] = {
         "limit_nm": limits[counted],
@@ -175,13 +175,13 @@ def torque_metrics(
 
 @once
 def commanded_torque(session: Recording) -> Floats:
-    """(M, 29) N·m, float32, that the newest command asks of each of the M LowStates.
+    """(M, 29) N·m, float32, torque of the newest command at each of the M LowStates.
 
-    It is tau + kp (q - measured) + kd (dq - measured), and nan where the command is more than
-    100 ms old, or command or state is not finite.
+    It is tau + kp (q - measured) + kd (dq - measured). It is nan if the command is more than
+    100 ms old, or if command or state is not finite.
 
     Args:
-        session: with commands and states.
+        session: session with commands and states.
     """
     measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
     instants, times = measured.published, command.published

@@ -1,19 +1,19 @@
 """How closely a robot followed its reference in PLAY.
 
-A LowState shows what commands published before it have done; how long before it was published it
-was measured, it does not tell. So a tracking delay is all that lies between the publish time of a
-reference and that of the state that shows it: DDS, the servo, and the time between measuring and
+A LowState shows the effect of commands published before it, but not how long before its publish
+time it was measured. A tracking delay is therefore the whole time from the publish time of a
+reference to that of the state that shows it: DDS, the servo, and the time between measuring and
 publishing.
 
-The delay is found by cross-correlation of joint positions. For each joint and each of a row of
-delays, the measured position is correlated with that of the reference so long ago. The delay is the
-one that leaves the least unexplained, to a fraction of the row's step by a parabola through it and
-its neighbours. Scale and mean of a joint do not matter: one that moves less than asked, or hangs
-lower, is not late.
+The delay is found by cross-correlation of joint positions. For each joint and each delay of a
+grid, the measured position is correlated with the delayed reference. The result is the delay
+with the least unexplained variance, interpolated by a parabola through it and its neighbours.
+Scale and mean of a joint do not matter: a joint that moves less than commanded, or sags, is not
+late.
 
-The interval of confidence is that of least squares whose residuals are correlated: each second
-counts as one observation, so that a disturbance that lasts is not taken for many (K.-Y. Liang and
-S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika, 1986).
+The confidence interval is that of least squares with correlated residuals. Each second counts as
+one observation, so that a lasting disturbance does not count many times (K.-Y. Liang and S. Zeger,
+"Longitudinal data analysis using generalized linear models", Biometrika, 1986).
 """
 
 from __future__ import annotations
@@ -60,18 +60,18 @@ __all__ = [
     "worst_joints",
 ]
 
-#: Rows of 29 joints that are computed at once.
+#: Rows of 29 joints in one block of a computation.
 _BLOCK: Final = 2048
 
-#: Delays that are searched, in steps: from -0.02 to 0.2 s; positive: the robot is behind.
+#: Range of the grid of delays, in steps: -0.02 to 0.2 s. Positive: the robot is behind.
 _STEP: Final = 0.005
 _LAGS: Final = np.arange(-4, 41)
-#: Every second of the times that are a step apart is compared, or so few that there are no more.
+#: Every second step is compared, or fewer so that there are at most this many.
 _STRIDE: Final = 2
 _MOST_TIMES: Final = 20_000
-#: A joint takes part if reference and measurement span more than this, rad.
+#: A joint is used if reference and measurement both span more than this, rad.
 _MOVES: Final = 0.05
-#: An observation, s, and how few give no interval of confidence.
+#: Length of an observation, s, and the least number for a confidence interval.
 _OBSERVATION: Final = 1.0
 _FEWEST_OBSERVATIONS: Final = 5
 
@@ -83,22 +83,22 @@ class NothingToCompareError(RecordingError):
 class ErrorStats(Record):
     """The tracking error, reference - measured, of a joint or of several joints together.
 
-    `Session.summary` leaves None what takes long to compute; `Session.metrics` has it.
+    `Session.summary` leaves fields None that take long to compute; `Session.metrics` sets them.
 
     Attributes:
         rmse_rad: root mean square.
-        bias_rad: mean, such as the sag under gravity; of several joints the root mean square of
+        bias_rad: mean, such as the sag under gravity; for several joints the root mean square of
             their means.
-        max_abs_rad: the greatest error, either way.
-        max_abs_at_s: when that was, since the motion's first frame.
-        worst_joint: the joint of the greatest RMSE, of several.
+        max_abs_rad: largest absolute error.
+        max_abs_at_s: its time, since the motion's first frame.
+        worst_joint: the joint with the largest RMSE; None for a single joint.
         mae_rad: mean absolute error.
         p99_rad: 99th percentile of the absolute error.
-        delay_s: by which the joints are behind the reference; None where too little moves.
-        delay_ci95_s: half the width of the delay's 95 % interval of confidence.
-        correlation: 0 to 1, of the measurement with the reference that much earlier.
-        velocity_rmse_rad_s: of the joints' velocity; None where the robot reports none.
-        acceleration_rmse_rad_s2: of the joints' acceleration, likewise.
+        delay_s: delay of the joints behind the reference; None without enough movement.
+        delay_ci95_s: half the width of the delay's 95 % confidence interval.
+        correlation: 0 to 1, of the measurement with the reference at that delay.
+        velocity_rmse_rad_s: of the joint velocities; None if the robot reports none.
+        acceleration_rmse_rad_s2: of the joint accelerations; None likewise.
     """
 
     rmse_rad: float
@@ -120,11 +120,11 @@ class TrackingSummary(Record):
 
     Attributes:
         compared_states: LowStates that were compared with the reference.
-        excluded_states: LowStates in PLAY that lie in a gap of the reference, or are not finite.
-        compared_s: length of PLAY, gaps left out.
-        rmse_without_delay_rad: RMSE of all joints with the reference `delay_s` later.
+        excluded_states: LowStates in PLAY in a gap of the reference, or with non-finite values.
+        compared_s: length of PLAY without gaps.
+        rmse_without_delay_rad: RMSE of all joints with the reference delayed by `delay_s`.
         rmse_without_delay_and_mean_rad: the same without each joint's mean error.
-        all_joints: those that played, together.
+        all_joints: all joints that played, together.
         limbs: by name.
         joints: by name.
     """
@@ -141,16 +141,16 @@ class TrackingSummary(Record):
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """How large reference - measured was in PLAY, joint by joint, in motor order.
+    """The errors reference - measured in PLAY by joint, in motor order.
 
-    Joints that did not play the motion count in no figure of several joints together.
+    Joints that did not play the motion are excluded from all results over several joints.
 
     Attributes:
-        sums: the errors of one LowState at least.
-        excluded: LowStates in PLAY that are left out: the reference has a gap there, or a joint
-            position is not finite or beyond 1e9 rad.
-        duration: s of PLAY, gaps left out.
-        joints: motor indices of those that played the motion.
+        sums: the errors of at least one LowState.
+        excluded: number of LowStates in PLAY that are excluded: in a gap of the reference, or with
+            a joint position that is not finite or beyond 1e9 rad.
+        duration: length of PLAY without gaps, s.
+        joints: motor indices of the joints that played the motion.
     """
 
     sums: ErrorSums
@@ -165,17 +165,17 @@ class JointErrors:
 
     @property
     def mean(self) -> Floats:
-        """(29,) rad, such as the sag under gravity."""
+        """(29,) rad, mean error, such as the sag under gravity."""
         return self.sums.mean
 
     @property
     def max_abs(self) -> Floats:
-        """(29,) rad, the greatest error, either way."""
+        """(29,) rad, largest absolute error."""
         return self.sums.max_abs
 
     @property
     def max_abs_at(self) -> Floats:
-        """(29,) s since the motion's first frame, where that was."""
+        """(29,) time of the largest error, s since the motion's first frame."""
         return self.sums.max_abs_at
 
     @property
@@ -190,17 +190,17 @@ class JointErrors:
 
     @cached_property
     def limbs(self) -> dict[str, list[int]]:
-        """The played joints of each limb that has any."""
+        """The played joints by limb, without empty limbs."""
         found = {limb: sorted({*joints} & {*self.joints}) for limb, joints in JOINT_GROUPS.items()}
         return {limb: joints for limb, joints in found.items() if joints}
 
     @property
     def worst_joint(self) -> str:
-        """The joint of the greatest RMSE."""
+        """The joint with the largest RMSE."""
         return JOINT_NAMES[max(self.joints, key=self.rmse.__getitem__)]
 
     def summary(self) -> TrackingSummary:
-        """The figures, without the arrays."""
+        """The results without the arrays."""
         return TrackingSummary(
             compared_states=self.sums.n,
             excluded_states=self.excluded,
@@ -230,8 +230,8 @@ class Tracking(JointErrors):
         time: (N,) s on the motion's clock, as `Stream.time`.
         motion_time: (N,) s since the motion's first frame.
         reference, measured: (N, 29) rad.
-        delays: finds the delay of any joints together.
-        states: (N,) which LowStates they are.
+        delays: finds the delay of any set of joints.
+        states: (N,) indices of the LowStates.
     """
 
     time: Floats
@@ -243,7 +243,7 @@ class Tracking(JointErrors):
 
     @cached_property
     def delay(self) -> Delay | None:
-        """Of all joints together; None where too little moves, or no delay that is searched fits.
+        """Delay of all joints together; None without enough movement or a best delay in the grid.
 
         Its `rmse` and `std` are in the order of `joints`, rad.
         """
@@ -255,7 +255,7 @@ class Tracking(JointErrors):
         return self.reference - self.measured
 
     def summary(self) -> TrackingSummary:
-        """The figures, without the arrays."""
+        """The results without the arrays."""
         delay, found = self.delay, super().summary()
         found.rmse_without_delay_rad = delay and pooled(delay.rmse)
         found.rmse_without_delay_and_mean_rad = delay and pooled(delay.std)
@@ -265,7 +265,7 @@ class Tracking(JointErrors):
 
 @once
 def tracking(session: Recording) -> Tracking:
-    """How closely the robot of a session followed its reference in PLAY.
+    """Compute the tracking error of a session in PLAY.
 
     Raises:
         NothingToCompareError: there is no reference, or no state in PLAY.
@@ -287,7 +287,7 @@ def tracking(session: Recording) -> Tracking:
 
 
 def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
-    """The played joints with the greatest RMSE, greatest first; none without a comparison."""
+    """The played joints with the largest RMSE, largest first; empty without a reference."""
     try:
         found = tracking(session)
     except NothingToCompareError:
@@ -299,13 +299,13 @@ def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
 def compare(
     reference: ReferenceStream, measured: MeasuredStream, *, delay_known: bool = True
 ) -> Tracking | None:
-    """Compare each LowState in PLAY with the reference at its publish time; None without one.
+    """Compare each LowState in PLAY with the reference at its publish time; None without states.
 
-    Where the robot itself told when the reference began, no delay of it is known.
+    If the robot itself reported when the reference began, the delay is unknown.
 
-    The reference between two samples h apart is taken as a straight line; that is off by at most
-    h^2 / 8 times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. It is where the
-    reference was published, so a command that came late counts as late.
+    The reference is interpolated linearly between two samples h apart. The error is at most h^2 / 8
+    times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. References are at their
+    publish times, so a command that came late counts as late.
     """
     times, state_times = reference.published, measured.published
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
@@ -315,7 +315,7 @@ def compare(
         return None
     times, phase = times[order], reference.phase[order]
     in_order = len(order) == len(sane) and (np.diff(order) == 1).all()
-    q = reference.q if in_order else reference.q[order]  # a copy only where one is needed
+    q = reference.q if in_order else reference.q[order]  # copy only if needed
     around = neighbours(times, state_times[state_order])
     in_play = around.where(phase[around.before] == Phase.PLAY)
     sane = _are_sane(measured.q)[state_order]
@@ -326,7 +326,7 @@ def compare(
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
     played = played_joints(np.bitwise_or.reduce(reference.played[order][phase == Phase.PLAY]))
     asked = np.empty((len(states), N_JOINTS))
-    # Of states without a gap it is a view: a long recording has much of everything.
+    # Without gaps this is a view, to save memory in long recordings.
     whole = (np.diff(states) == 1).all()
     done = measured.q[states[0] : states[-1] + 1] if whole else measured.q[states]
     sums = ErrorSums()
@@ -350,21 +350,21 @@ def compare(
 
 
 def errors_of_run(running: RunningError, played: NDArray[np.bool_]) -> JointErrors | None:
-    """How closely the robot followed in a run, by what its loop received; None without a state.
+    """The tracking error of a run, from its loop's data; None without a state.
 
-    `played` (29,) tells which joints played the motion.
+    `played` (29,) marks the joints that played the motion.
     """
     sums, joints = running.finish(), tuple(np.flatnonzero(played).tolist())
     return JointErrors(sums, running.excluded, running.duration / 1e9, joints) if sums.n else None
 
 
 def blocks(n_rows: int, size: int = _BLOCK) -> Iterator[slice]:
-    """Rows of a long array, some at a time, so that what is computed of them stays in the cache."""
+    """Slices of a long array, so that intermediate results stay in the cache."""
     return (slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size))
 
 
 def _are_sane(values: Floats) -> NDArray[np.bool_]:
-    """(N,) whether all of a row (N, K) are finite and of a sane size."""
+    """(N,) whether all values of a row (N, K) are finite and plausible."""
     sane = np.empty(len(values), dtype=bool)
     for part in blocks(len(values)):
         sane[part] = (np.abs(values[part]) < NUMBER).all(axis=1)
@@ -372,7 +372,7 @@ def _are_sane(values: Floats) -> NDArray[np.bool_]:
 
 
 def pooled(values: Floats) -> float:
-    """One RMSE of several joints, from the RMSE of each over the same instants."""
+    """The RMSE over several joints, from the RMSE of each over the same times."""
     return float(rms(values))
 
 
@@ -383,14 +383,14 @@ def rms(errors: Floats) -> Floats:
 
 
 class Delay(NamedTuple):
-    """By how much the robot is behind the reference, and how well it follows apart from that.
+    """The delay of the robot behind the reference, and the error apart from it.
 
     Attributes:
-        seconds: positive where the robot is behind.
-        ci95: half the width of the 95 % interval of confidence, s; None where less than five
-            seconds were compared.
-        correlation: 0 to 1, of the measurement with the reference `seconds` ago.
-        rmse: (J,) rad, of the reference `seconds` ago - measured.
+        seconds: positive if the robot is behind.
+        ci95: half the width of the 95 % confidence interval, s; None if less than five seconds
+            were compared.
+        correlation: 0 to 1, of the measurement with the reference `seconds` earlier.
+        rmse: (J,) rad, reference `seconds` earlier - measured.
         std: (J,) rad, the same without each joint's mean error.
     """
 
@@ -402,15 +402,15 @@ class Delay(NamedTuple):
 
 
 class Delays:
-    """Finds the delay of any joints together.
+    """Finds the delay of any set of joints.
 
     Args:
-        times: (R,) s, rising, of the reference in every phase: a robot that is late shows what was
-            asked before the motion.
+        times: (R,) s, increasing, of the reference in every phase, because a robot that is late
+            shows targets from before the motion.
         q: (R, J) rad, the reference.
-        state_times: (N,) s, rising, of the states that are compared.
+        state_times: (N,) s, increasing, of the compared states.
         measured: (N, J) rad.
-        known: whether a delay can be known; else it finds none.
+        known: whether the delay can be determined; if not, it is None.
     """
 
     def __init__(
@@ -427,18 +427,18 @@ class Delays:
             return
         first = max(state_times[0], times[0] + _LAGS[-1] * _STEP)
         last = min(state_times[-1], times[-1] + _LAGS[0] * _STEP)
-        steps = int((last - first) / _STEP + 1e-9)  # negative where too little was recorded
+        steps = int((last - first) / _STEP + 1e-9)  # negative if the recording is too short
         at = first + _STEP * np.arange(0, steps + 1, max(_STRIDE, -(-steps // _MOST_TIMES)))
         after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
         self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= MAX_GAP_NS / 1e9]
         self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
         if not len(self._at):
             return
-        # Of the reference the grid begins so much earlier that there is a row for each delay.
+        # The reference's grid begins earlier, so that there is a row for each delay.
         grid = first + _STEP * np.arange(-_LAGS[-1], steps + 1 - _LAGS[0])
         self._q = interpolated(grid, times, q)
         self._measured = interpolated(self._at, state_times, measured)
-        middle = self._q.mean(axis=0)  # so that sums of squares keep their digits
+        middle = self._q.mean(axis=0)  # subtracted to keep the precision of sums of squares
         self._q -= middle
         self._measured -= middle
         self._total = self._measured.var(axis=0)
@@ -448,7 +448,7 @@ class Delays:
         self._unexplained = np.array([self._regress(lag, every)[1] for lag in _LAGS.tolist()])
 
     def of(self, joints: Sequence[int]) -> Delay | None:
-        """The delay of some joints together; None where none moves or no delay fits best."""
+        """The delay of some joints together; None if none moves or no delay fits best."""
         moving = [joint for joint in joints if self._moving[joint]]
         if not moving:
             return None
@@ -471,7 +471,7 @@ class Delays:
         )
 
     def _reference(self, shift: float, joints: list[int]) -> Floats:
-        """(T, J) the reference of some joints so many steps before each time."""
+        """(T, J) reference of some joints, `shift` steps before each time."""
         whole = int(np.floor(shift))
         rows, weight = self._rows + _LAGS[-1] - whole, shift - whole
         columns = self._q if len(joints) == self._q.shape[1] else self._q[:, joints]
@@ -479,7 +479,7 @@ class Delays:
         return q + weight * (columns[rows - 1] - q) if weight else q
 
     def _regress(self, shift: float, joints: list[int]) -> tuple[Floats, Floats]:
-        """Of some joints (J,) the factor on the reference, and the variance left unexplained."""
+        """(J,) for some joints: the factor of the reference, and the unexplained variance."""
         q, mean = self._reference(shift, joints), self._mean[joints]
         measured = self._measured if len(joints) == len(self._mean) else self._measured[:, joints]
         of_q = q.mean(axis=0)
@@ -507,10 +507,10 @@ class Delays:
 
 
 def _t_975(freedom: int) -> float:
-    """The 0.975 quantile of Student's t, within 4e-4 of it from 4 degrees of freedom on.
+    """The 0.975 quantile of Student's t, within 4e-4 for 4 or more degrees of freedom.
 
-    An expansion about that of the normal distribution, Abramowitz and Stegun 26.7.5: importing
-    SciPy for it takes as long as all else in the summary of a short session.
+    An expansion around the normal distribution (Abramowitz and Stegun 26.7.5). Importing SciPy
+    would take as long as the rest of a short session's summary.
     """
     z = NormalDist().inv_cdf(0.975)
     return (
@@ -523,5 +523,5 @@ def _t_975(freedom: int) -> float:
 
 
 def interpolated(at: Floats, times: Floats, values: Floats) -> Floats:
-    """(T, J) values (R, J) of increasing times (R,) at other times (T,), linearly."""
+    """(T, J) linear interpolation at times (T,) of values (R, J) at increasing times (R,)."""
     return np.column_stack([np.interp(at, times, column) for column in values.T])

@@ -1,1 +1,1 @@
-"""What runs: stream, replay, record, sim, convert, live, demo, rollout, doctor."""
+"""What a user runs: stream, replay, record, sim, convert, live, demo and rollout."""

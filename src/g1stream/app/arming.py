@@ -1,4 +1,4 @@
-"""Arming: what is about to happen on a robot, told before the first command."""
+"""Arming: reports what will be sent to which robot, and asks, before the first command."""
 
 from __future__ import annotations
 
@@ -26,57 +26,57 @@ if TYPE_CHECKING:
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
 
-#: Longest wait for the motion service, discovery included, s.
+#: Longest wait for the motion service, including discovery, s.
 _SERVICE_TIMEOUT: Final = 3.0
-#: How long LowState is listened to for the findings, s.
+#: Time to listen for LowState for the findings, s.
 _LISTEN: Final = 0.5
 _POLL: Final = 0.005  # s
 
 
 @dataclass(frozen=True)
 class LimbDistance:
-    """How far a limb is from the motion's first frame, and how stiffly it is moved there."""
+    """Distance of a limb from the motion's first frame, and the gains that move it there."""
 
     limb: str  # its name, such as `left arm`
-    joint: str  # the one that is furthest
-    distance: float  # of that joint, first frame minus measured, rad
-    kp: tuple[float, float]  # the lowest and the highest gain, N·m/rad and N·m·s/rad
-    kd: tuple[float, float]
+    joint: str  # the joint that is furthest from the first frame
+    distance: float  # first frame minus measured angle of that joint, rad
+    kp: tuple[float, float]  # lowest and highest gain, N·m/rad
+    kd: tuple[float, float]  # lowest and highest gain, N·m·s/rad
 
 
 @dataclass(frozen=True)
 class ArmingReport:
-    """What is about to be done to which robot."""
+    """Robot, distance to the first frame, limits and findings, before commands are sent."""
 
     domain: int  # DDS domain
-    interface: str  # in use; `CYCLONEDDS_URI` where that selects it
-    tilt: float  # of the pelvis, rad
+    interface: str  # in use; `CYCLONEDDS_URI` if that selects it
+    tilt: float  # tilt of the pelvis, rad
     limbs: tuple[LimbDistance, ...]  # distances from the measured pose to the first frame
     ramp: float  # length of RAMP, s
     peak_speed: float  # the highest speed of a joint in RAMP, rad/s
-    limits: dict[str, Any]  # the safety settings in force, by name
-    # that no mode is active, or with `stream.via` = arm_sdk which one is; a warning where that is
-    # not known
+    limits: dict[str, Any]  # the safety settings, by name
+    # The active mode, which `stream.via` = arm_sdk needs and rt/lowcmd forbids; a warning if it is
+    # not known.
     motion_service: Finding
-    findings: tuple[Finding, ...]  # the doctor's
+    findings: tuple[Finding, ...]  # of `g1stream doctor`
 
     @property
     def furthest(self) -> LimbDistance:
-        """The limb with the joint that is furthest from the first frame."""
+        """The limb whose joint is furthest from the first frame."""
         return max(self.limbs, key=lambda limb: abs(limb.distance))
 
 
 def require_arming(interface: str, *, armed: bool) -> None:
-    """Refuse to command anything but loopback unless that was asked for.
+    """Refuse to command anything but loopback without arming.
 
     Raises:
         WireError: there is no such interface.
-        SafetyError: the interface is not the loopback, and it is not `armed`.
+        SafetyError: the interface is not the loopback, and `armed` is False.
     """
     require_interface(interface)
     if not (armed or is_local_only(interface)):
         raise SafetyError(
-            f"Commands on {network_name(interface)} may move a robot, and need to be armed.",
+            f"Commands on {network_name(interface)} may move a robot and must be armed.",
             "Add --arm (in Python: arm=), after the checks in docs/real-robot.md.",
         )
 
@@ -84,11 +84,12 @@ def require_arming(interface: str, *, armed: bool) -> None:
 def confirm_arming(
     participant: Participant, plan: Plan, arm: Callable[[ArmingReport], bool] | None
 ) -> None:
-    """Ask before anything is sent, if there is somebody to ask: no `arm` on loopback.
+    """Ask for confirmation before anything is sent. There is nothing to ask without `arm`.
 
     Raises:
-        SafetyError: the answer is no, or the robot's own controller is in the way or missing.
-        WireError: somebody is asked, and no plausible LowState is received.
+        SafetyError: it was not confirmed, or the robot's own controller is active, or inactive
+            when `stream.via` = arm_sdk needs it.
+        WireError: no plausible LowState is received.
     """
     if arm is None:
         if plan.topic is ARM_SDK:
@@ -101,14 +102,14 @@ def confirm_arming(
 
 
 def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
-    """Look at the robot, its motion service and the network; publishes no command.
+    """Inspect the robot, its motion service and the network. It publishes no command.
 
     Raises:
-        SafetyError: a mode of the motion service is active, which would fight our commands, or with
-            `stream.via` = arm_sdk none is.
+        SafetyError: a mode of the motion service is active and would also send commands, or
+            `stream.via` = arm_sdk needs a mode and none is active.
         WireError: no plausible LowState is received.
     """
-    from g1stream.doctor.facts import Facts, warning  # a loop on loopback starts without them
+    from g1stream.doctor.facts import Facts, warning  # slow, and loopback does not need it
     from g1stream.doctor.findings import evaluate
     from g1stream.doctor.inspection import inspect_host, inspect_participant
 
@@ -125,11 +126,11 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     findings = evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))
     if kind.absent:
         cause = (
-            f"On a {kind}, each joint is taken to have the motor number that it has with "
-            f"{N_JOINTS}; no such robot has confirmed this."
+            f"On a {kind}, each joint is assumed to have the same motor number as with "
+            f"{N_JOINTS}; this has not been confirmed on a robot."
         )
-        play_one = "play one joint first (--joints left_elbow_joint), and see that this one moves."
-        findings.append(warning("motors", cause, f"Hang it, {play_one}"))
+        play_one = "play one joint (--joints left_elbow_joint), and check that this joint moves."
+        findings.append(warning("motors", cause, f"Hang the robot, {play_one}"))
     return ArmingReport(
         domain=participant.domain,
         interface=network_name(participant.interface),
@@ -144,10 +145,10 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
 
 
 def _motion_service(participant: Participant, plan: Plan) -> Finding:
-    """Whether the robot's own controller is inactive, or active where it is to move the arms.
+    """Check that the robot's own controller is inactive, or active if it is to move the arms.
 
     Raises:
-        SafetyError: it is active and would fight our commands; or it has to be active and is not.
+        SafetyError: it is active and would also send commands, or it is needed and inactive.
     """
     from g1stream.dds.motion_switcher import MotionSwitcherClient
     from g1stream.doctor.facts import ok, warning
@@ -156,28 +157,33 @@ def _motion_service(participant: Participant, plan: Plan) -> Finding:
     about = "motion service"
     try:
         active = MotionSwitcherClient(participant, _SERVICE_TIMEOUT).check().name
-    except WireError as error:  # a simulator has none; other publishers are refused anyway
+    except WireError as error:  # a simulator has no motion service; publishers are checked anyway
         return warning(
             about,
             f"{error.cause} The robot's own controller may "
-            + ("not be active." if arms else "be active, and would fight our commands."),
-            "Go on only if you know that its onboard controller balances it."
+            + (
+                "not be active."
+                if arms
+                else "be active, and its commands would conflict with ours."
+            ),
+            "Continue only if you know that the robot's controller balances it."
             if arms
-            else "Go on only if this is a simulator, or if you know that no mode is active.",
+            else "Continue only if this is a simulator, or if you know that no mode is active.",
         )
     where = f"--domain {participant.domain} --interface {participant.interface}"
     if arms and not active:
         raise SafetyError(
-            "The robot's own controller is not active, which rt/arm_sdk needs: nothing would move.",
-            f"Activate it with the remote or g1stream robot restore ai {where}; a simulator has it "
-            "with g1stream sim --onboard ai.",
+            "rt/arm_sdk needs the robot's own controller, which is not active: nothing would move.",
+            f"Activate it with the remote or g1stream robot restore ai {where}; in the simulator "
+            "use g1stream sim --onboard ai.",
         )
     if arms:
-        return ok(about, f"mode {active} is active, and moves the arms for us")
+        return ok(about, f"mode {active} is active, and forwards the arm commands")
     if active:
         raise SafetyError(
-            f"The robot's own controller is active (mode {active}) and would fight our commands.",
-            f"Support the robot, which goes limp, and run: g1stream robot release {where}",
+            f"The robot's own controller is active (mode {active}). Its commands would conflict "
+            "with ours.",
+            f"Support the robot, because it will go limp, and run: g1stream robot release {where}",
         )
     return ok(about, "no mode is active")
 
@@ -197,7 +203,7 @@ def _plausible_state(participant: Participant, plan: Plan) -> Reading:
                     return measured
             time.sleep(_POLL)
     raise WireError(
-        f"The pose of the robot is not known: {checks.unknown(time.monotonic_ns())}, after "
+        f"The pose of the robot is unknown: {checks.unknown(time.monotonic_ns())}, after "
         f"stream.wait = {wait:g} s.",
         f"Run: g1stream doctor --domain {participant.domain} --interface {participant.interface}",
     )

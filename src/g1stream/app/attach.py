@@ -1,4 +1,4 @@
-"""Write a session with the motion that was found in it, and with what viewers show of it."""
+"""Write a session with an attached motion as its reference, and new messages for viewers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["write_attached"]
 
-#: Messages are encoded so many ns of log time at once.
+#: Messages are encoded in blocks of this log time, ns.
 _ROUND: Final = 1_000_000_000
 _DDS_TOPICS: Final = {topic: name for name, topic in CHANNEL_OF.items()}
 _LOG: Final = "/log"
@@ -32,22 +32,22 @@ def write_attached(
     force: bool = False,
     progress: Callable[[str, float], None] = lambda what, fraction: None,
 ) -> Path:
-    """Write a session with all channels, those for viewers made anew.
+    """Write a session with all channels. The channels for viewers are encoded again.
 
-    Samples are written byte for byte, with both their times. Topics that g1stream does not know are
-    left out.
+    Samples are written byte for byte, with log and publish times. Topics that g1stream does not
+    know are omitted.
 
     Args:
-        session: as `Session.attach` gives it.
-        path: of the MCAP file; its directory must exist.
-        force: replace a file that is there.
-        progress: called with what is done and its share, 0 to 1.
+        session: result of `Session.attach`.
+        path: MCAP file to write; its directory must exist.
+        force: replace an existing file.
+        progress: called with a label and the fraction done, 0 to 1.
 
     Returns:
         The path.
 
     Raises:
-        RecordingError: the file cannot be written, or is one of the session's.
+        RecordingError: the file cannot be written, or belongs to the session.
         RobotError: the session's URDF cannot be used.
     """
     check_not_input(path, *session.paths)
@@ -79,7 +79,7 @@ def write_attached(
 
 
 def _rounds(session: Session, topics: list[str]) -> Iterator[Mapping[str, Batch]]:
-    """The messages of topics by topic, some time at once, in order of log time."""
+    """The messages by topic, in blocks of log time, in order of log time."""
     streams = (zip(session.messages(topic), repeat(topic)) for topic in topics)
     batches: dict[str, Batch] = defaultdict(Batch)
     end = None

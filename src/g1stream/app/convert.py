@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Conversion", "ConvertReport", "convert", "frame_timestamps", "parse_time"]
 
-#: Poses in one chunk: with some 6 kB each, a chunk fits into the processor's cache, which makes it
-#: several times faster, and is large enough to compress well.
+#: Poses in one chunk. A chunk (about 6 kB a pose) fits into the processor's cache, which makes
+#: encoding several times faster, and is large enough to compress well.
 _CHUNK: Final = 128
 _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/tf",
@@ -51,7 +51,7 @@ _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 
 _NS_PER_S: Final = 1_000_000_000
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=timezone.utc)
-#: At most 40 digits: Python refuses to convert thousands of them.
+#: At most 40 digits, because Python refuses to convert thousands of them.
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,40}")
 _ISO: Final = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?[0-5]\d)?",
@@ -61,20 +61,20 @@ _ISO: Final = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class Conversion:
-    """How a motion becomes a session file.
+    """Options of a conversion from a motion to a session file.
 
     Attributes:
         base_time_ns: time of frame 0, ns since the epoch.
-        frames: (first, stop) as in a slice; None is the motion's first or last frame.
+        frames: (first, stop) as in a slice; None means the motion's start or end.
         resample: rate at which to sample the spline through the frames, Hz; None writes the frames
             themselves.
-        floating_root: False pins the root link to the world's origin.
+        floating_root: False fixes the root link at the world's origin.
         root_link: the link whose pose the motion contains; the URDF's root link if None.
-        world_frame: name of the world's frame.
-        flat: put every link directly under the world instead of under its parent.
-        topic: of the transforms.
-        meshes: show the URDF's meshes, with fewer triangles, or the real G1's (extra `meshes`).
-        compression: of the file's chunks.
+        world_frame: name of the world frame.
+        flat: make every link a child of the world instead of its parent link.
+        topic: topic of the transforms.
+        meshes: show the URDF's meshes, simplified, or the real G1's (extra `meshes`).
+        compression: compression of the file's chunks.
         force: replace an existing file.
     """
 
@@ -93,17 +93,17 @@ class Conversion:
 
 @dataclass(frozen=True)
 class ConvertReport:
-    """What a conversion wrote.
+    """Result of a conversion.
 
     Attributes:
-        path: of the file.
-        size: of the file, bytes.
-        motion: its name.
+        path: file that was written.
+        size: its size, bytes.
+        motion: name of the motion.
         frames: number of poses written.
         rate: poses per second.
         start_ns, end_ns: first and last time, ns since the epoch.
         counts: messages by topic.
-        warnings: what was corrected or left out, a sentence each.
+        warnings: corrections and omissions, a sentence each.
     """
 
     path: Path
@@ -133,19 +133,19 @@ def convert(
 ) -> ConvertReport:
     """Write a motion as a session file: transforms, joint states, scene and URDF of the robot.
 
-    Log and publish time of every message are the base time + frame / fps, to the nearest
-    nanosecond. A failure leaves no file behind.
+    Log and publish time of every message are the base time + frame / fps, rounded to the nearest
+    nanosecond. Nothing is written if it fails.
 
     Args:
         motion: a motion, a motion file, a session file, or the name of a bundled motion.
         out: the session file.
-        options: how; see `Conversion`.
-        robot: whose joints the motion has; the 29-dof G1 if None.
-        fps: frames per second of the motion file; the motion's own if None.
+        options: see `Conversion`.
+        robot: the robot whose joints the motion has; the 29-dof G1 if None.
+        fps: frame rate of the motion file; the motion's own if None.
         on_progress: called with the fraction done, 0 to 1.
 
     Raises:
-        G1StreamError: the motion, the robot, an option or the file does not allow it.
+        G1StreamError: the motion, the robot, an option or the file is not valid.
     """
     options = options or Conversion()
     out = Path(out)
@@ -207,11 +207,11 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
 
 
 def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:
-    """The poses to write, `_CHUNK` rows at a time: frames, or samples of the spline through them.
+    """The poses to write, `_CHUNK` rows at a time: frames, or samples of the spline.
 
     Yields:
-        times (T,) ns, joint_pos (T, 29), root_pos (T, 3), root_quat_wxyz (T, 4) and, where they
-        are resampled, joint_vel and joint_acc (T, 29).
+        times (T,) ns, joint_pos (T, 29), root_pos (T, 3), root_quat_wxyz (T, 4) and, if
+        resampled, joint_vel and joint_acc (T, 29).
     """
     base, rate = options.base_time_ns, options.resample
     parts: Iterable[tuple[Any, ...]]
@@ -236,7 +236,7 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
 def _write_file_header(
     writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int
 ) -> None:
-    """Write what a file has once: metadata, attachments, the scene and the URDF."""
+    """Write the file's metadata, attachments, scene and URDF."""
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, MotionInfo.from_motion(motion), first)
@@ -250,10 +250,10 @@ def _write_file_header(
 
 
 def _channels(topic: str) -> dict[str, Channel]:
-    """The channels of the file, by topic; the transforms go on the topic that was asked for."""
+    """The channels of the file, by topic, with the transforms on the given topic."""
     if not topic or topic in (_JOINTS, _SCENE, _DESCRIPTION):
         raise ConfigError(
-            f"The transforms cannot go on the topic {topic!r}: "
+            f"The transforms cannot use the topic {topic!r}: "
             f"{'it has no name' if not topic else 'it is used for other messages'}.",
             f"Choose another, such as {_TF}.",
         )
@@ -261,7 +261,7 @@ def _channels(topic: str) -> dict[str, Channel]:
 
 
 def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
-    """What was converted and how; the same for the same input on every machine."""
+    """The motion and options of the conversion; equal for equal input on every machine."""
     how = {k: v for k, v in vars(options).items() if k not in ("force", "compression")}
     return {
         "g1stream": __version__,
@@ -280,26 +280,27 @@ def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
 
 
 def frame_timestamps(base_ns: int, frames: Iterable[int], fps: float) -> Ints:
-    """Times of rising frames: base + frame / fps, to the nearest nanosecond, halves up; (T,) int64.
+    """Times of increasing frames, base + frame / fps, as (T,) int64 ns.
 
-    The frame rate is taken as the decimal number that it prints as, so that 29.97 is 2997/100; the
-    division is one of whole numbers, so that no rounding adds up however long the motion is.
+    They are rounded to the nearest nanosecond, halves up. The frame rate is interpreted as the
+    decimal number that it prints as (29.97 is 2997/100). The division is exact, so rounding errors
+    do not accumulate.
     """
     rate = Fraction(repr(float(fps)))
     numerator, denominator = 2 * _NS_PER_S * rate.denominator, 2 * rate.numerator
     times = [base_ns + (frame * numerator + rate.numerator) // denominator for frame in frames]
     if times and times[-1] >= LATEST_NS:
         raise ConfigError(
-            "The motion would end after the year 2116, the last that a session can have.",
+            "The motion would end after the year 2116, the last year of a session.",
             "Give an earlier base time.",
         )
     return np.array(times, dtype=np.int64)
 
 
 def parse_time(text: str) -> int:
-    """A time as ns since the epoch, of whole nanoseconds or ISO 8601 with a time zone.
+    """Parse a time as ns since the epoch, from whole nanoseconds or ISO 8601 with a time zone.
 
-    Such as `2026-03-01T12:00:00.123456789Z` or `2026-03-01 12:00+01:00`.
+    For example `2026-03-01T12:00:00.123456789Z`, `2026-03-01 12:00+01:00`.
     """
     time = int(text) if _WHOLE.fullmatch(text) else _parse_iso(text)
     if not 0 <= time < LATEST_NS:
@@ -320,7 +321,7 @@ def _parse_iso(text: str) -> int:
             f"The time {text} has no time zone.",
             f"Add one: {text}Z for UTC, or an offset such as {text}+01:00.",
         )
-    # Python 3.10 reads neither Z nor an offset without a colon, and no version nanoseconds.
+    # Python 3.10 supports neither Z nor an offset without a colon, and no version nanoseconds.
     offset = "+00:00" if zone in "Zz" else f"{zone[:3]}:{zone[-2:]}"
     try:
         moment = datetime.fromisoformat(f"{date}T{clock}{offset}")

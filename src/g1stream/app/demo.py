@@ -1,4 +1,4 @@
-"""Everything on one machine: our bridge, a motion played on it, a recording, and a figure."""
+"""Run the bridge, a stream, a recorder and a figure on one machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LOGGER = logging.getLogger(__name__)
 SESSION, FIGURE = "session.mcap", "tracking.png"
 """Names of the files in the output directory."""
 
-#: So many domains are tried, from the default on.
+#: Number of domains to try, starting at the default.
 _MOST_DOMAINS: Final = 8
 
 
@@ -36,9 +36,9 @@ def demo(
     force: bool = False,
     on_loop: Callable[[StreamLoop, Config], None] | None = None,
 ) -> Summary:
-    """Play a motion on our own bridge and record it, all on this machine.
+    """Play a motion on the simulated robot and record it, on this machine only.
 
-    Returns the summary of the session; where no command was sent, what the stream counted.
+    It returns the summary of the session, or the stream's summary if no command was sent.
     """
     from g1stream.analysis.plots import draw
     from g1stream.app.session import open_session
@@ -49,12 +49,12 @@ def demo(
     _check_local_only(config.dds.interface)
     session_path, figure_path = out / SESSION, out / FIGURE
     if not force:
-        named_anew = config.record.auto_name  # with the time in it
+        named_anew = config.record.auto_name  # the recorder adds the time to the name
         check_absent(*([] if named_anew else [session_path]), figure_path)
     with output_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     config = _with_free_domain(config)
-    # What is published for ROS 2 is published once, for the stream.
+    # The stream publishes for ROS 2, so nothing else does.
     quiet = config.dds.model_copy(update={"ros_tf": False})
     sim = Child("sim", config.model_copy(update={"dds": quiet}))
     try:
@@ -72,18 +72,18 @@ def demo(
     recorder = played.recorder
     if not (played.stream and played.stream.commands and recorder) or recorder.removed:
         return played
-    session = open_session(recorder.path)  # it may have the time in its name
+    session = open_session(recorder.path)  # its name may contain the time
     draw(session, figure_path)
     return session.summary()
 
 
 def _on_its_feet(config: Config) -> Config:
-    """The config for a robot that nothing holds, and that a policy or the stream balances."""
+    """The config for an unsupported robot that a policy or the stream balances."""
     given = "support" in config.sim.model_fields_set
     if given and config.sim.held_by != "free":
         raise ConfigError(
-            f"The robot stands on its own feet, and sim.support is {config.sim.support}.",
-            "Give --support feet, or leave it out.",
+            f"The robot stands on its own feet, but sim.support is {config.sim.support}.",
+            "Give --support feet, or remove --support.",
         )
     balanced = config.stream.support if config.stream.policy else "feet"
     sim = config.sim.model_copy(update={"support": "free"})
@@ -94,17 +94,17 @@ def _on_its_feet(config: Config) -> Config:
 def _check_local_only(interface: str) -> None:
     if is_local_only(interface):
         return
-    what = "CYCLONEDDS_URI is set, which could lead elsewhere"
+    what = "CYCLONEDDS_URI is set, which may select another network"
     if not is_loopback(interface):
         what = f"the interface {interface} is not the loopback"
     raise ConfigError(
         f"A demo is local to this machine, but {what}.",
-        "Leave that out; to play on a robot use `g1stream stream`.",
+        "Remove that setting; to play on a robot use `g1stream stream`.",
     )
 
 
 def check_absent(*paths: Path) -> None:
-    """Refuse to replace files."""
+    """Refuse to replace existing files."""
     for path in paths:
         if path.exists():
             raise RecordingError(
@@ -114,7 +114,7 @@ def check_absent(*paths: Path) -> None:
 
 
 def _with_free_domain(config: Config) -> Config:
-    """The config with a domain in which nobody publishes a robot's topics."""
+    """The config with a domain without publishers on the robot's topics."""
     first = config.dds.domain
     given = "domain" in config.dds.model_fields_set
     for domain in range(first, first + (1 if given else _MOST_DOMAINS)):
@@ -122,15 +122,15 @@ def _with_free_domain(config: Config) -> Config:
         if not others:
             dds = config.dds.model_copy(update={"domain": domain})
             return config.model_copy(update={"dds": dds})
-        _LOGGER.info("DDS domain %d is taken by %s", domain, ", ".join(others))
+        _LOGGER.info("DDS domain %d is in use by %s", domain, ", ".join(others))
     raise WireError(
         f"DDS domain {domain} has other publishers: {', '.join(others)}.",
-        f"End them, or choose a free domain, such as --domain {domain + 1}.",
+        f"Stop them, or choose a free domain, such as --domain {domain + 1}.",
     )
 
 
 def _publishers(domain: int, interface: str) -> list[str]:
-    """Who publishes what a robot or its streamer does."""
+    """The publishers on topics of the robot or the streamer."""
     with Participant(domain, interface) as participant:
         time.sleep(DISCOVERY)
         writers = [*participant.writers(LOWSTATE.name), *participant.commanders()]

@@ -1,8 +1,8 @@
-"""The messages of a session as they come, on a WebSocket server for Foxglove and Lichtblick.
+"""A WebSocket server that sends DDS messages live to Foxglove and Lichtblick.
 
-A child process of its own, and an observer of DDS like the recorder: neither the loop nor a
-recording waits for it or for its clients. The SDK keeps a bounded queue for each client, and drops
-the oldest messages of one that reads too slowly.
+It is a child process and only subscribes, like the recorder. Neither the loop nor a recording
+waits for it or its clients. The SDK keeps a bounded queue for each client, and drops the oldest
+messages if a client reads too slowly.
 """
 
 from __future__ import annotations
@@ -46,43 +46,43 @@ if TYPE_CHECKING:
 
 __all__ = ["FoundReferences", "live"]
 
-#: Of a motion that is looked for: samples a second that are compared, how many, ns from one search
-#: to the next, and references a second that are shown.
+#: Search for a motion: samples compared per second, their number, ns between two searches, and
+#: references shown per second.
 _LOOKED_AT, _SEARCHED_SAMPLES = 50, 1500
 _SEARCH_PERIOD_NS: Final = 3_000_000_000
 _SHOWN: Final = 100
 #: Level of an event in /log.
 _INFO: Final = 2
-#: What tells where it is, commands first.
+#: Streams that are compared with the motion, commands first.
 _SEARCHED: Final[tuple[tuple[Topic, str, AttachedBy], ...]] = (
     (LOWCMD, "motor_cmd.q", "commands"),
     (LOWSTATE, "motor_state.q", "measured joints"),
 )
-#: Programs on other hosts cannot connect.
+#: Only programs on this host can connect.
 _HOST: Final = "127.0.0.1"
 
 
 @contextmanager
 def live(config: Config | None = None, *, motion: Motion | None = None) -> Iterator[str]:
-    """Serve everything on a DDS domain to Foxglove and Lichtblick for the length of a `with`.
+    """Serve all data on a DDS domain to Foxglove and Lichtblick for the length of a `with`.
 
-    The channels are those of a session file, with the log times of a recorder. Clients can only
-    read, and only those on this machine. A server that fails later is logged, and nothing else.
+    The channels are those of a session file, with the log times of a recorder. Only clients on this
+    machine can connect, and they can only read. If the server fails later, this is only logged.
 
         with g1stream.live() as address:
             g1stream.stream("demo")
 
     Args:
-        config: all settings; the defaults if left out.
-        motion: that a controller of somebody else plays, which publishes no references. Once it is
-            found in the commands or in the measured joints, its references are shown.
+        config: all settings; the defaults if omitted.
+        motion: motion that another controller plays without publishing references. References are
+            shown once the motion is found in the commands or in the measured joints.
 
     Yields:
-        The address to open, once clients can connect, such as `ws://localhost:8765`.
+        The address to open, such as `ws://localhost:8765`, once clients can connect.
 
     Raises:
         ConfigError: the extra `live` is not installed.
-        ChildError: the port is in use, or a setting or the wire does not allow it.
+        ChildError: the port is in use, or a setting or the wire is not valid.
     """
     config = config or Config()
     require_installed("foxglove-sdk", "live", "A live view needs")
@@ -91,7 +91,7 @@ def live(config: Config | None = None, *, motion: Motion | None = None) -> Itera
 
 
 class _Server:
-    """The channels of a session file on a WebSocket server, until the process ends.
+    """Serves the channels of a session file on a WebSocket server, until the process ends.
 
     `WebSocketServer.stop` is never called: it would wait for a client that does not read.
     """
@@ -100,7 +100,7 @@ class _Server:
         from foxglove import Channel, Context, Schema, start_server
 
         self._latched = {messages.topic: bytes(messages.payloads[0]) for messages in latched}
-        self._context = Context()  # kept: the server and the channels do not
+        self._context = Context()  # neither the server nor the channels keep a reference
         self._channels = {
             one.topic: Channel(
                 one.topic,
@@ -112,7 +112,7 @@ class _Server:
             )
             for one in CHANNELS.values()
         }
-        listener: Any = self  # of the callbacks, only those for what clients can do here
+        listener: Any = self  # it has only the callbacks for what clients can do here
         try:
             self._server = start_server(
                 name="g1stream",
@@ -125,11 +125,11 @@ class _Server:
             reason = str(error).rpartition(": ")[2]
             raise ConfigError(
                 f"The live view cannot listen on port {port}: {reason}.",
-                "End the program that uses it, or choose another with --live-port.",
+                "Stop the program that uses it, or choose another port with --live-port.",
             ) from error
 
     def send(self, messages: MessageBatch) -> None:
-        """Send messages to the clients that have subscribed to their topic; never waits."""
+        """Send messages to the clients that have subscribed to their topics. It never waits."""
         channel = self._channels[messages.topic]
         if messages.topic in self._latched or not channel.has_sinks():
             return
@@ -137,7 +137,7 @@ class _Server:
             channel.log(bytes(payload), log_time=logged)
 
     def on_subscribe(self, _: Client, view: ChannelView) -> None:
-        """Called by the SDK; it can only send to all clients, which replace what they had."""
+        """Called by the SDK. It can only send to all clients; they replace the previous message."""
         if view.topic in self._latched:
             channel = self._channels[view.topic]
             channel.log(self._latched[view.topic], log_time=time.time_ns())
@@ -147,11 +147,11 @@ class _Server:
 
 
 class FoundReferences:
-    """References of a motion that somebody else plays, once it is found in what is received.
+    """References of a motion that another program plays, once it is found in the received data.
 
     Args:
-        motion: that is looked for at its own speed, in the last half a minute, every few seconds in
-            a thread.
+        motion: motion to find, played at its own speed. A thread searches the last half minute
+            every few seconds.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -164,10 +164,10 @@ class FoundReferences:
         self._search: Future[Found | None] | None = None
         self._next = 0
         self._found: Found | None = None
-        self._given = 0  # until when there are references, ns
+        self._given = 0  # time up to which references were added, ns
 
     def add_to(self, batches: dict[str, Batch]) -> None:
-        """Take in what was received, and add the references up to it, if none were published."""
+        """Process received batches, and add references up to their end if none were published."""
         newest: dict[AttachedBy, int] = {}
         for topic, field, by in _SEARCHED:
             if batch := batches.get(topic.name):
@@ -188,11 +188,11 @@ class FoundReferences:
 
     @property
     def searched(self) -> bool:
-        """Whether no search is going on."""
+        """Whether no search is running."""
         return self._search is None or self._search.done()
 
     def _look(self, now: int, batches: dict[str, Batch]) -> None:
-        """Begin a search where it is time, and take what one has found."""
+        """Start a search if it is due, and process the result of a finished one."""
         if self._search and self.searched:
             found = self._search.result()
             if found and found.alignment.best and not found.alignment.ambiguous:
@@ -217,17 +217,17 @@ class FoundReferences:
     def _event(self, seconds: float) -> bytes:
         event = Log()
         event.level[()], event.name = _INFO, "live"
-        event.text = f"{self._name} was found at {seconds:.1f} s of it"
+        event.text = f"{self._name} was found, {seconds:.1f} s after its start"
         return event.tobytes()
 
     def _references(self, now: int) -> Batch:
-        """Those up to `now`, ns, as long as the play that was found last may go on."""
+        """The references up to `now`, ns, as long as the motion found last may still be playing."""
         assert self._found
         play = self._found.alignment.plays[-1]
         start = self._found.zero + round(play.start * 1e9)
         published = np.arange(self._given or now, now, round(1e9 / _SHOWN))
         at = play.speed * ((published - start) / 1e9)
-        # A search sees the end of a play two periods later at the latest.
+        # A search detects the end of a playback two periods later at the latest.
         until = min(self._trajectory.duration, play.last + 2e-9 * _SEARCH_PERIOD_NS)
         inside = (at >= 0.0) & (at <= until)
         published, at = published[inside], at[inside]
@@ -241,16 +241,16 @@ class FoundReferences:
 
 
 def _run_child(parent: Parent) -> None:
-    """Serve for a parent what a recorder would write.
+    """Serve the data that a recorder would write, for a parent process.
 
-    Its startup message is the config, and the motion to look for or None.
+    The startup message is the config and the motion to find, or None.
     """
-    # The SDK logs how clients come and go; the viewer shows that itself.
+    # The SDK logs connections of clients, but the viewer already shows them.
     logging.getLogger("foxglove").addHandler(logging.NullHandler())
     config: Config
     config, motion = parent.startup_message
     settings = config.record
-    if settings.channels == "raw":  # to keep a file small; viewers would show nothing
+    if settings.channels == "raw":  # reduces the size of a file; viewers would show nothing
         settings = settings.model_copy(update={"channels": "standard"})
     pipeline = MessagePipeline(G1.load(config.robot), settings)
     header = pipeline.file_header(time.time_ns())
@@ -258,7 +258,7 @@ def _run_child(parent: Parent) -> None:
         handled_by(ConsoleHandler(logging.WARNING, "live")),
         Receiver(config) as receiver,
     ):
-        lower_priority()  # not the receiver's, which has been started
+        lower_priority()  # not that of the receiver, which is already running
         found = FoundReferences(motion) if motion else None
         server = _Server(header, config.live_port)
         receiver.wait_until_ready(parent.done.is_set)

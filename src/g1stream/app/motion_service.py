@@ -10,13 +10,13 @@ from g1stream.errors import SafetyError
 
 
 def onboard_status(where: DdsConfig, timeout: float = 5.0) -> OnboardStatus:
-    """The form of the robot and the mode that is active."""
+    """The form of the robot and its active mode."""
     with Participant(where.domain, where.interface) as participant:
         return MotionSwitcherClient(participant, timeout).check()
 
 
 def release_mode(where: DdsConfig, timeout: float = 5.0) -> str:
-    """Release the active mode, upon which the robot goes limp; empty where none was active."""
+    """Release the active mode, upon which the robot goes limp. Returns its name; "" if none."""
     with Participant(where.domain, where.interface) as participant:
         client = MotionSwitcherClient(participant, timeout)
         name = client.check().name
@@ -32,7 +32,7 @@ def restore_mode(where: DdsConfig, name: str, timeout: float = 5.0) -> None:
         active = client.check().name
         if not active and (others := participant.commanders()):
             raise SafetyError(
-                f"There is a publisher on {LOWCMD.name}, which the mode {name} would fight: "
+                f"The mode {name} would conflict with a publisher on {LOWCMD.name}: "
                 f"{', '.join(map(participant.owner, others))}.",
                 "Stop it first.",
             )

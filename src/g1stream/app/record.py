@@ -35,7 +35,7 @@ from g1stream.view.pipeline import MessagePipeline
 __all__ = ["record"]
 
 _POLL_PERIOD: Final = 0.05
-#: From the end of a stream to its guard's first command, at most, s.
+#: Longest time from the end of a stream to its guard's first command, s.
 _GUARD_DELAY: Final = 1.0
 
 
@@ -51,37 +51,37 @@ def record(
     on_stopped: Callable[[str], None] = lambda cause: None,
     final_metadata: Callable[[], Mapping[str, Any]] = dict,
 ) -> Summary:
-    """Record until told to stop, or until the disk is full.
+    """Record until stopped, or until the disk is full.
 
-    Events are logged below the logger `g1stream.recorder`, and written into /log of the file.
+    Events are logged below the logger `g1stream.recorder`, and written to /log in the file.
 
     Args:
-        path: the session file; its directory must exist. A file without any sample is removed.
-        config: all settings; the defaults if left out.
+        path: session file; its directory must exist. A file without samples is removed.
+        config: all settings; the defaults if omitted.
         force: replace an existing file.
-        session: the motion that a stream is about to play, for the metadata. The recorder then
-            waits until it is matched with the stream before it calls `on_ready`. `path` is taken
-            as it is, whatever `record.auto_name` says.
-        should_stop: asked several times per second.
-        on_ready: called when nothing that is published from then on can be missed.
+        session: motion that a stream is about to play, for the metadata. The recorder then calls
+            `on_ready` only after it is matched with the stream, and `record.auto_name` has no
+            effect on `path`.
+        should_stop: called several times per second; True ends the recording.
+        on_ready: called when no message published from then on can be missed.
         on_recorder: called with the recorder before it runs, to display it.
-        on_stopped: called with the cause when the recording has ended before it was told to.
-        final_metadata: more metadata; called when told to stop. `stopped` in it is why the
-            recording ended too early.
+        on_stopped: called with the cause if the recording ends before it is stopped.
+        final_metadata: returns more metadata; called when stopped. Its `stopped` is the reason why
+            the recording ended early.
 
     Returns:
-        What was recorded; `recorder.stopped` is why it ended early, if it did, and
-        `recorder.removed` that there was nothing to record.
+        The recorded summary. `recorder.stopped` is the reason if it ended early, and
+        `recorder.removed` is true if there was nothing to record.
 
     Raises:
-        G1StreamError: the file, a setting or the wire does not allow it.
+        G1StreamError: the file, a setting or the wire is not valid.
     """
     config = config or Config()
     settings, robot = config.record, G1.load(config.robot)
     path = Path(path)
     if settings.auto_name and session is None:
         path = timestamped(path, time.time_ns())
-    # Before there is a file: may refuse.
+    # Before the file is created, because this may raise.
     pipeline = MessagePipeline(robot, settings, session.policy if session else None)
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     size, duration = settings.split_size, settings.split_duration
@@ -98,7 +98,7 @@ def record(
     with ExitStack() as stack:
         receiver = stack.enter_context(Receiver(config))
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
-        if not session:  # else the stream has it published
+        if not session:  # with a session, the stream publishes it
             stack.enter_context(publishing_for_ros2(config, should_stop))
         writer = SessionWriter(
             path,
@@ -118,7 +118,7 @@ def record(
         report = recorder.run(should_stop, on_ready, awaited)
         if report.stopped:
             on_stopped(report.stopped)
-        while session and not should_stop():  # a full disk does not end the stream
+        while session and not should_stop():  # a full disk must not end the stream
             time.sleep(_POLL_PERIOD)
         _close(writer, report, final_metadata())
     return summarise_run(config, recorder=report)
@@ -129,15 +129,15 @@ def _has_samples(writer: SessionWriter) -> bool:
 
 
 def _remove_if_empty(writer: SessionWriter) -> None:
-    """Remove a closed recording without samples, so that the next one is not refused for it."""
-    if writer.paths and not _has_samples(writer):  # else an older recording has stayed in its place
+    """Remove a closed recording without samples, so that it does not block the next one."""
+    if writer.paths and not _has_samples(writer):  # otherwise the path is an older recording's
         remove_recording(writer.path)
 
 
 def _close(
     writer: SessionWriter, report: RecorderSummary, final_metadata: Mapping[str, Any]
 ) -> None:
-    """Write the final metadata and the index, for which a full disk may not have room."""
+    """Write the final metadata and the index. On a full disk this may fail."""
     final = dict(final_metadata)
     told = final.pop("stopped", "")
     report.stopped = report.stopped or told
@@ -153,7 +153,7 @@ def _close(
 
 
 def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
-    """The file's metadata before the first sample."""
+    """The metadata that is written before the first sample."""
     packages = ("cyclonedds", "mcap", "numpy")
     return {
         "g1stream": __version__,
@@ -163,7 +163,7 @@ def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
         "interface": config.dds.interface,
         "session_id": uuid4().hex,
         "started_ns": time.time_ns(),
-        # Log times come from this host's clock; publish times from that of whoever published.
+        # Log times come from this host's clock, publish times from the publisher's clock.
         "log_clock": f"CLOCK_REALTIME of {socket.gethostname()}",
         "realtime_minus_monotonic_ns": time.time_ns() - time.monotonic_ns(),
         **session.model_dump(mode="json", exclude_unset=True),
@@ -171,9 +171,9 @@ def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
 
 
 def _run_child(parent: Parent) -> RecorderSummary | None:
-    """Record for a stream: the startup message has arguments of `record`."""
+    """Record for a stream. The startup message has the arguments of `record`."""
     config: Config = parent.startup_message.get("config") or Config()
-    # Where the stream is gone, its guard damps the robot.
+    # If the stream has died, its guard still damps the robot.
     longer = config.stream.damp + _GUARD_DELAY if config.safety.guard else 0.0
 
     def should_stop() -> bool:
@@ -192,7 +192,7 @@ def _run_child(parent: Parent) -> RecorderSummary | None:
             **parent.startup_message,
             should_stop=should_stop,
             on_ready=parent.ready,
-            on_recorder=lambda _: lower_priority(),  # not the receiver's, which has been started
+            on_recorder=lambda _: lower_priority(),  # not that of the receiver, already running
             on_stopped=parent.failed,
             final_metadata=lambda: parent.final_message or {"stopped": stopped()},
         )

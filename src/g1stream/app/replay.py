@@ -27,10 +27,10 @@ def replay(
     arm: Callable[[ArmingReport], bool] | None = None,
     on_loop: Callable[[StreamLoop, Motion], None] | None = None,
 ) -> Summary:
-    """Play a recorded session on the robot that subscribes to LowCmd, and return how it went.
+    """Play a recorded session on the robot that subscribes to LowCmd, and return its summary.
 
-    The recorded reference is played like any motion: with a ramp, within the limits, with the gains
-    and feed-forward of `config`.
+    The recorded reference is played like any motion, with a ramp, limits, and the gains and
+    feed-forward of `config`.
 
     Args:
         session: a session or its file.
@@ -38,12 +38,12 @@ def replay(
         speed: factor relative to the recording.
         record: also record the new session into this file.
         force: replace an existing recording.
-        arm: called before anything is sent, as by `stream`; needed on anything but loopback.
+        arm: called before anything is sent, as in `stream`; required on anything but loopback.
         on_loop: called with the loop and the motion before the loop runs.
 
     Raises:
         SafetyError: the robot is not armed, or the motion is beyond its limits.
-        G1StreamError: a file, a setting or the wire does not allow it.
+        G1StreamError: a file, a setting or the wire is not valid.
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
@@ -51,7 +51,7 @@ def replay(
         session = open_session(session)
     if config.stream.policy and session.policy_info:
         raise ConfigError(
-            "The motion of this session begins and ends with the standing of a policy.",
+            "The motion of this session begins and ends with the policy's standing phases.",
             "Give the motion itself to `g1stream stream --policy`.",
         )
     motion = session.motion()

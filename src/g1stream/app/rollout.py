@@ -1,4 +1,4 @@
-"""Play a motion on a simulated robot in lockstep: without DDS, a second process or a wall clock."""
+"""Play a motion on a simulated robot in lockstep, without DDS, another process or a wall clock."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from g1stream.view.pipeline import MessagePipeline
 __all__ = ["LATENCY", "rollout"]
 
 LATENCY: Final = 100_000
-"""Log time minus publish time of every message of a rollout, ns: about that of DDS on loopback."""
+"""Log time minus publish time of every message, ns: about the latency of DDS on loopback."""
 
 
 def rollout(
@@ -52,13 +52,13 @@ def rollout(
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
 
-    The loop, its safety and its feed-forward are those of `stream`, the robot is that of the
-    bridge. Both advance in lockstep: the robot's ticks are half a period after the loop's, and take
-    no time. So the same arguments give the same messages, byte for byte.
+    Loop, safety and feed-forward are those of `stream`; the robot is the bridge's. Both advance in
+    lockstep: the robot's ticks are half a period after the loop's, and take no simulated time. The
+    same arguments therefore give the same messages, byte for byte.
 
-    The session is in memory, some 4.5 MB for each second of it.
+    The session is in memory and takes about 4.5 MB per second.
 
-    With sensor noise that is another with each seed:
+    Each seed gives different sensor noise:
 
         sessions = [rollout("demo", noise=SensorNoise(seed=seed)) for seed in range(5)]
 
@@ -68,23 +68,23 @@ def rollout(
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
         support: how the pelvis is held; `config.sim.support`, bolted by default, if None. With
-            `feet` nothing holds it, and the loop keeps the robot on its feet (extra `feet`).
-        feedforward: what commands carry beside the position; if None `config.stream.feedforward`,
+            `feet` nothing holds it, and the loop balances the robot (extra `feet`).
+        feedforward: what commands contain beside positions; if None `config.stream.feedforward`,
             by default dynamics, and velocity for support "free".
         config: all settings; the defaults if None. `dds` and `realtime` have no effect.
         seconds: how much of the motion to play; `config.stream.duration` if None.
-        joints: those that play the motion, such as "arms,waist"; `config.stream.joints` if None.
-        announced: how the simulated robot announces that it is held, where that shall be wrong.
-        noise: called with each `LowState` before it is published, which it may change in place;
+        joints: joints that play the motion, such as "arms,waist"; `config.stream.joints` if None.
+        announced: support that the simulated robot announces, if it shall differ from the real one.
+        noise: called with each `LowState` before it is published, and may change it in place;
             `config.sim.noise` and `config.sim.seed` if None.
         policy: ONNX file of a learned policy that plays the motion on free feet (extra `policy`);
             `config.stream.policy` if None.
-        kp: servo gain, N·m/rad: of all joints, or by joint, limb or pattern, such as
-            {"arms": 60.0, "*_knee_joint": 150.0}; over those of `config.gains`.
+        kp: servo gain, N·m/rad: for all joints, or by joint, limb or pattern, such as
+            {"arms": 60.0, "*_knee_joint": 150.0}; overrides `config.gains`.
         kd: likewise, N·m·s/rad.
 
     Returns:
-        The session in memory, with all channels of a recorded one; `save` writes it into a file.
+        The session in memory, with all channels of a recorded one; `save` writes it to a file.
 
     Raises:
         G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
@@ -149,7 +149,7 @@ def _resolve(
     joints: str | None,
     gains: Mapping[str, float | Mapping[str, float] | None],
 ) -> Config:
-    """The config with the arguments of a rollout over its values."""
+    """The config, overridden by the arguments of a rollout."""
     if support not in (None, *get_args(StreamSupport)):
         raise ConfigError(
             f"There is no support {support!r}.", f"Use {', '.join(get_args(StreamSupport))}."
@@ -175,12 +175,12 @@ def _resolve(
     )
     if config.stream.via != "lowcmd":
         raise ConfigError(
-            f"A rollout has no controller of the robot's own: stream.via = {config.stream.via}.",
-            "Leave it out, or play on `g1stream sim --onboard ai`.",
+            f"A rollout has no onboard controller, which stream.via = {config.stream.via} needs.",
+            "Remove that setting, or play on `g1stream sim --onboard ai`.",
         )
     if config.stream.loop and config.stream.duration is None:
         raise ConfigError(
-            "A rollout of a motion that loops would not end: stream.loop is true.",
+            "A rollout of a looping motion would not end: stream.loop is true.",
             "Give `seconds`, or stream.duration.",
         )
     return config
@@ -195,7 +195,7 @@ def _by_joint(gain: float | Mapping[str, float] | None) -> dict[str, float] | No
 
 @contextmanager
 def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
-    """Publish what this thread logs meanwhile, as the stream's and the bridge's events."""
+    """Publish what this thread logs, as the stream and the bridge publish their events."""
     thread = threading.get_ident()
     stream, sim = LogHandler("stream", publish), LogHandler("sim", publish)
     stream.addFilter(

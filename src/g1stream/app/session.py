@@ -1,4 +1,4 @@
-"""A session: a recording, and what can be computed, drawn and written of it."""
+"""A session: a recording, and its tracking error, metrics, plots, videos and tables."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 
 
 def open_session(path: str | os.PathLike[str]) -> Session:
-    """Open a session file, also one whose recorder was killed; or what another program recorded.
+    """Open a session or a log of another program. It also opens files of killed recorders.
 
     Args:
-        path: of a session file, of the directory of a split recording, or of a log:
-            `docs/anyones-session.md` lists which.
+        path: session file, directory of a split recording, or log; `docs/anyones-session.md` lists
+            the supported logs.
 
     Raises:
         ConfigError: the extra that reads it is not installed.
@@ -53,32 +53,33 @@ def open_session(path: str | os.PathLike[str]) -> Session:
 
 
 class Session(Recording):
-    """The samples, events, metadata and attachments of one run, and how well it went.
+    """The samples, events, metadata and attachments of one run, and its analysis.
 
-    Columns of a topic are read when they are first used, and kept. Whatever reads them raises a
-    RecordingError where the file is damaged, or a topic that it needs is not in this session.
+    Columns of a topic are read at first use, and kept. Methods that read them raise a
+    RecordingError if the file is damaged, or if the session lacks a topic that they need.
     """
 
     def tracking(self) -> Tracking:
-        """How closely the robot followed the reference in PLAY.
+        """The tracking error in PLAY: how closely the robot followed the reference.
 
         Raises:
-            RecordingError: there is nothing to compare.
+            RecordingError: there is no reference or no measured state to compare.
         """
         from g1stream.analysis.tracking import tracking
 
         return tracking(self)
 
     def summary(self) -> Summary:
-        """What is in the session, how well it went, and its problems; `print` shows it."""
+        """The session's contents, results and problems; `print` shows them."""
         from g1stream.analysis.summarise import summarise
 
         return summarise(self)
 
     def metrics(self) -> Metrics:
-        """How well it went, in the metrics of motion-tracking papers; docs/metrics.md defines them.
+        """The metrics of motion-tracking papers; docs/metrics.md defines them.
 
-        What cannot be told is None: of a session without a reference there are torque and timing.
+        Metrics that cannot be computed are None; without a reference only torque and timing are
+        set.
 
         Raises:
             RecordingError: the file is damaged.
@@ -88,19 +89,20 @@ class Session(Recording):
         return metrics(self)
 
     def attach(self, motion: Motion, *, play: int = 1) -> Session:
-        """The same session with the motion that was played in it as its reference.
+        """The same session, with the motion that was played in it as its reference.
 
-        For what others recorded, who have commands and states and no reference. `attached` says
-        when the motion was found to have been played and how surely; `docs/anyones-session.md` how.
+        For recordings of other programs, which have commands and states but no reference.
+        `attached` says when the motion was played, and how reliable this is.
+        `docs/anyones-session.md` describes the method.
 
         Args:
-            motion: what was played, or more than that.
-            play: which time, from 1, where it was played several times.
+            motion: motion that was played completely or in part.
+            play: number of the playback, from 1, if it was played several times.
 
         Raises:
-            RecordingError: the session has a reference already, or is a selection; the motion was
-                not played in it; or several places in the motion are as likely.
-            ConfigError: it was not played that often.
+            RecordingError: the session already has a reference, or is a selection; the motion was
+                not played in it; or several places in the motion are equally likely.
+            ConfigError: it was played fewer times.
         """
         from g1stream.analysis.attached import with_motion
 
@@ -113,15 +115,15 @@ class Session(Recording):
     def plot(
         self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
     ) -> Figure:
-        """Some joints over time, with the phases shaded, as one figure.
+        """Plot some joints over time as one figure, with the phases shaded.
 
-        Without arguments: the joints that move most, the error over time and each joint's RMSE;
-        `joints` are shown instead where they are up to six. With more joints or with `what`: a
-        panel for each joint and quantity, of what the session has.
+        By default it shows the joints that move most, the error over time and each joint's RMSE. Up
+        to six `joints` replace the joints that move most. With more joints or with `what` it has a
+        panel for each joint and each available quantity.
 
         Args:
             joints: names, such as "left_knee", or regular expressions that match whole names.
-            what: of "q", "dq", "tau" and "error": position, velocity, torque, tracking error.
+            what: quantities from "q", "dq", "tau" and "error": position, velocity, torque, error.
 
         Raises:
             ConfigError: there is no such quantity.
@@ -142,26 +144,26 @@ class Session(Recording):
         camera: Camera = "oblique",
         force: bool = False,
     ) -> Path:
-        """Write a video or a picture: the measured robot, and over it the reference as a ghost.
+        """Write a video or a picture of the measured robot, with the reference as a ghost.
 
-        The ghost has the reference's joints on the measured pelvis. Time, phase and the RMS error
-        of all joints are written into each frame. Without a reference or without a measured state,
-        what there is is shown. The robot has the real G1's meshes with the extra `meshes`, else
+        The ghost has the reference's joints and the measured pelvis. Each frame shows time, phase
+        and RMS error of all joints. If the reference or the measured state is missing, only the
+        other is shown. The robot has the real G1's meshes with the extra `meshes`, otherwise
         primitive shapes. MP4 needs the extra `video`.
 
         Args:
             path: ends in .mp4, .gif, or .png for the frame at `start`.
-            start: s on the motion's clock; the beginning of the session if None.
-            duration: s; to the end if None, or if that comes first.
+            start: time of the first frame on the motion's clock, s; the session's start if None.
+            duration: length, s; to the end if None or if the session is shorter.
             fps: frames per second, in the session's own time.
             size: width and height, pixels.
-            camera: where it stands around the robot, which it follows.
-            force: replace a file that is there.
+            camera: its position around the robot. It follows the robot.
+            force: replace an existing file.
 
         Raises:
             ConfigError: the suffix, the size or `fps` cannot be used, or a package for MP4 is not
                 installed.
-            RecordingError: there is nothing to show there, or the file cannot be written.
+            RecordingError: there is nothing to show in that time, or the file cannot be written.
             RobotError: the session's URDF cannot be used.
             SimError: there is no OpenGL to draw with.
         """
@@ -170,29 +172,29 @@ class Session(Recording):
         return written
 
     def motion(self, fps: float | None = None) -> Motion:
-        """The motion that was played, as the reference has it; or what `convert` made of a motion.
+        """The played motion from the reference, or the motion from which `convert` made the file.
 
         Args:
-            fps: frames per second; the rate of the reference if None.
+            fps: frame rate of the result; the rate of the reference if None.
 
         Raises:
             RecordingError: there is no motion in this session.
-            MotionError: `fps` is not a frame rate, or leaves less than two frames.
+            MotionError: `fps` is not a frame rate, or leaves fewer than two frames.
         """
         from g1stream.session.motions import motion_of
 
         return motion_of(self, fps)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write the session into one MCAP file: such as a rollout, or the part in a phase.
+        """Write the session, such as a rollout or a selected part, to one MCAP file.
 
-        Messages on g1stream's own topics are written byte for byte, with both their times, and the
-        metadata and attachments of the whole session with them. A part also has the shapes and the
+        Messages on g1stream's own topics are written byte for byte, with log and publish times. The
+        metadata and attachments are those of the whole session. A part also has the shapes and the
         description of the robot, which were published before it, at the start of the part.
 
         Args:
-            path: of the file; its directory must exist.
-            force: replace a file that is there.
+            path: file to write; its directory must exist.
+            force: replace an existing file.
 
         Raises:
             RecordingError: the file cannot be written.
@@ -222,24 +224,25 @@ class Session(Recording):
         return path
 
     def to_dataframe(self, topic: str | None = None) -> pandas.DataFrame:
-        """The joints in PLAY, or a topic's samples, as a pandas table; needs the extra `export`.
+        """The joints in PLAY, or a topic's samples, as a pandas table (extra `export`).
 
         Args:
-            topic: one of `STREAMS`, such as `/lowstate`; None: how closely the joints followed.
+            topic: one of `STREAMS`, such as `/lowstate`; None for reference, measurement and error.
 
         Returns:
-            Of a topic: a row for each sample, indexed by `publish_time`, UTC to the nanosecond, as
-            is the column `log_time`; `time` is in s on the motion's clock. Other columns are named
-            as those of the topic's stream, arrays by joint, axis or term: `q.left_knee_joint`,
-            `root_pos.x`, `imu_quat_wxyz.w`, `base_ang_vel.0`. Units are those of the stream.
+            With a topic: a row for each sample. The index is `publish_time`, and `log_time` is a
+            column, both in UTC with nanoseconds. `time` is in s on the motion's clock. The other
+            columns have the names of the topic's stream. Arrays have a column for each joint,
+            axis or term: `q.left_knee_joint`, `root_pos.x`, `imu_quat_wxyz.w`,
+            `base_ang_vel.0`. Units are those of the stream.
 
-            Without one: a row for each LowState in PLAY, indexed by `time`, s on the motion's
-            clock. Of each joint that played there are `reference.left_knee_joint`, `measured.` and
-            `error.`, side by side, rad; the error is reference - measured, as in `tracking`.
+            Without a topic: a row for each LowState in PLAY. The index is `time`, s on the motion's
+            clock. Each joint that played has the columns `reference.left_knee_joint`, `measured.`
+            and `error.`, rad. The error is reference - measured, as in `tracking`.
 
         Raises:
             ConfigError: pandas is not installed.
-            RecordingError: the topic is not one of those, or there is nothing to compare.
+            RecordingError: there is no table for the topic, or there is nothing to compare.
         """
         table = import_extra("pandas", *_EXPORT)
         if topic is None:
@@ -257,7 +260,7 @@ class Session(Recording):
             return table.DataFrame(followed, index=table.Index(found.time, name="time"))
         if topic not in STREAMS:
             raise RecordingError(
-                f"There is no table for the topic {topic}.", f"Choose from {', '.join(STREAMS)}."
+                f"The topic {topic} has no table.", f"Choose from {', '.join(STREAMS)}."
             )
         stream = self.stream(STREAMS[topic]).read()
         columns: dict[str, Any] = {
@@ -271,13 +274,13 @@ class Session(Recording):
         return table.DataFrame(columns, index=index.rename("publish_time"))
 
     def to_parquet(self, directory: str | os.PathLike[str]) -> list[Path]:
-        """Write the tables of all topics: /lowstate into lowstate.parquet, and so on.
+        """Write the tables of all topics, such as /lowstate to lowstate.parquet.
 
         Args:
-            directory: made where it is missing. Files of these names are replaced.
+            directory: created if missing. Existing files with these names are replaced.
 
         Returns:
-            The files.
+            The written files.
 
         Raises:
             ConfigError: pandas or pyarrow is not installed.
@@ -301,7 +304,7 @@ class Session(Recording):
 def _by_joint_or_axis(
     name: str, values: NDArray[Any], terms: Mapping[str, slice]
 ) -> dict[str, NDArray[Any]]:
-    """A column (N,) of a stream as one of the table, or one (N, K) as K."""
+    """A column (N,) of a stream as one table column, or an array (N, K) as K columns."""
     if values.ndim == 1:
         return {name: values}
     if name == "observation":

@@ -30,7 +30,7 @@ __all__ = ["follow", "make_world", "open_viewer", "simulate"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: By how much its priority is below that of the loop, which must not wait for the bridge.
+#: How far its priority is below that of the loop, which must not wait for the bridge.
 _BELOW_LOOP = 10
 
 
@@ -41,16 +41,16 @@ def simulate(
     on_ready: Callable[[], None] = lambda: None,
     on_report: Callable[[SimReport], None] = lambda _: None,
 ) -> SimReport:
-    """Run a simulated G1 on DDS until told to stop or for `config.sim.duration`.
+    """Run a simulated G1 on DDS until stopped or for `config.sim.duration`.
 
     Args:
-        config: all settings; the defaults if left out.
-        should_stop: asked at every LowState.
+        config: all settings; the defaults if omitted.
+        should_stop: called at every LowState; True ends the simulation.
         on_ready: called when the robot is about to appear on DDS.
-        on_report: called then with what it will count, to display it.
+        on_report: called at the same time with the running report, to display it.
 
     Raises:
-        G1StreamError: a setting or the wire does not allow it.
+        G1StreamError: a setting or the wire is not valid.
     """
     config = config or Config()
     settings = config.sim
@@ -85,7 +85,7 @@ def simulate(
 
 
 def _run_child(parent: Parent) -> SimReport:
-    """Simulate for a parent: the startup message is the config."""
+    """Simulate for a parent process. The startup message is the config."""
     with handled_by(ConsoleHandler(program="sim")):
         return simulate(
             parent.startup_message, should_stop=parent.done.is_set, on_ready=parent.ready
@@ -93,10 +93,10 @@ def _run_child(parent: Parent) -> SimReport:
 
 
 def _priority(config: Config) -> int:
-    """Of SCHED_FIFO: below the loop's, and 0 where the bridge could block everything else.
+    """Priority for SCHED_FIFO, below the loop's; 0 if the bridge could block everything else.
 
-    With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
-    thread that draws.
+    With one CPU, a simulation that is too slow would block it. With a viewer, it would wait for the
+    drawing thread.
     """
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if config.sim.viewer or cpus < 2:
@@ -105,8 +105,8 @@ def _priority(config: Config) -> int:
 
 
 def make_world(robot: G1, settings: SimConfig) -> World:
-    """The simulated robot as the settings have it."""
-    # The largest step of a millisecond or less that divides the period of LowState.
+    """The simulated robot with these settings."""
+    # The largest step up to a millisecond that divides the period of LowState.
     timestep = 1.0 / (settings.rate * math.ceil(1000.0 / settings.rate))
     return World(
         robot,
@@ -122,11 +122,11 @@ _REMEDY = "Run it on a desktop, or without the viewer."
 
 
 def open_viewer(world: World) -> Any:
-    """Open a window that follows the robot and return MuJoCo's handle of it, a context manager.
+    """Open a window that follows the robot and return MuJoCo's handle, a context manager.
 
-    The window shows the world at the last `sync()`, which copies it and should be called some 50
-    times a second, from the thread that steps. `is_running()` is False once the user has closed
-    the window; `close()` closes it.
+    The window shows the world at the last `sync()`, which copies it. Call `sync()` about 50 times a
+    second, from the thread that steps. `is_running()` is False once the user has closed the window;
+    `close()` closes it.
     """
     _check_display()
     from mujoco import viewer
@@ -135,7 +135,7 @@ def open_viewer(world: World) -> Any:
         window = viewer.launch_passive(
             world.model, world.data, show_left_ui=False, show_right_ui=False
         )
-    except RuntimeError as error:  # macOS wants the program to be run by mjpython
+    except RuntimeError as error:  # macOS requires mjpython
         raise SimError(f"MuJoCo's viewer cannot be opened: {error}.", _REMEDY) from error
     with window.lock():
         follow(world, window.cam)
@@ -143,7 +143,7 @@ def open_viewer(world: World) -> Any:
 
 
 def follow(world: World, camera: Any) -> None:
-    """Let a `mujoco.MjvCamera` follow the robot, from the front, with all of it in view."""
+    """Let a `mujoco.MjvCamera` follow the robot from the front, with the whole robot in view."""
     import mujoco
 
     camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
@@ -153,7 +153,7 @@ def follow(world: World, camera: Any) -> None:
 
 
 def _check_display() -> None:
-    """Try a hidden window first: without a display, MuJoCo's viewer would wait for ever."""
+    """Try a hidden window first, because MuJoCo's viewer waits for ever without a display."""
     if sys.platform == "darwin":
         return
     import glfw

@@ -1,4 +1,4 @@
-"""Play a motion: plan, arm, connect, run, report; and a recorder beside it if requested."""
+"""Play a motion: plan, arm, connect, run and report, with a recorder if requested."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ __all__ = ["stream"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: How long the wire is listened to for a diagnosis when nothing answered, s.
+#: Time to listen on DDS for a diagnosis if no robot answered, s.
 _LISTEN: Final = 0.2
-#: Standing before and after the motion in a rehearsal, s.
+#: Time to stand before and after the motion in a rehearsal, s.
 _REHEARSED_STANDING: Final = 0.5
 
 
@@ -55,10 +55,10 @@ def stream(
     arm: Callable[[ArmingReport], bool] | None = None,
     on_loop: Callable[[StreamLoop], None] | None = None,
 ) -> Summary:
-    """Play a motion on the robot that subscribes to LowCmd, and return how it went.
+    """Play a motion on the robot that subscribes to LowCmd, and return its summary.
 
-    The robot is damped before this returns or raises, whatever ends it; a guard process damps it
-    where this one cannot. After the first command, what ends it is the reason in the summary.
+    The robot is always damped before this returns or raises. If this process cannot do it, a guard
+    process does. After the first command, an error does not raise but is the reason in the summary.
     Events are logged below the logger `g1stream`, and published on rt/g1stream/log.
 
     Args:
@@ -66,14 +66,14 @@ def stream(
         config: all settings; by default domain 1 on loopback.
         record: also record the session into this file.
         force: replace an existing recording.
-        arm: called before anything is sent with what is about to happen; nothing is sent unless it
-            returns True. Needed on anything but the loopback interface.
+        arm: called before anything is sent with a report of what will be sent. Nothing is sent
+            unless it returns True. Required on anything but the loopback interface.
         on_loop: called with the loop before it runs, to display it or to stop it.
 
     Raises:
-        SafetyError: it is not armed, the motion is beyond the robot's limits, or there is another
+        SafetyError: it is not armed, the motion exceeds the robot's limits, or there is another
             publisher of LowCmd.
-        G1StreamError: a file, a setting or the wire does not allow it.
+        G1StreamError: a file, a setting or the wire is not valid.
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
@@ -85,7 +85,7 @@ def stream(
         ExitStack() as stack,
     ):
         joined = clock.now()
-        # Only now: meanwhile the guard starts, and the participant discovers the others.
+        # Not earlier, so that the guard starts and the participant discovers others meanwhile.
         from g1stream.control.loop import make_loop
         from g1stream.control.plan import plan
 
@@ -108,7 +108,7 @@ def stream(
         recording = None
         about: dict[str, Any] = {}
         try:
-            # All events have been published when the recorder is told to finish.
+            # All events have been published when the recorder is stopped.
             with handled_by(events):
                 planned.log_events()
                 with on_time(config.realtime.priority, config.realtime.cpu) as granted:
@@ -126,13 +126,13 @@ def stream(
 def _summarise(
     planned: Plan, report: LoopReport, played: StreamSummary, recording: RecorderSummary | None
 ) -> Summary:
-    """How it went: from the file, if there is one, else what the loop counted."""
+    """The summary of the file, if there is one, otherwise of the loop's counters."""
     from g1stream.analysis.summarise import summarise_run
     from g1stream.analysis.summary import Termination
     from g1stream.analysis.tracking import errors_of_run
     from g1stream.app.session import open_session
 
-    met = played.commands or played.states_used  # else the file says nothing about a motion
+    met = played.commands or played.states_used  # otherwise the file has nothing of a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
     followed = errors_of_run(report.error, planned.played)
@@ -153,7 +153,7 @@ def _summarise(
 
 
 def _run(loop: StreamLoop, guard: Guard) -> None:
-    """Run the loop; an error after the first command has become its reason to end."""
+    """Run the loop. After the first command, an error becomes the reason why it ended."""
     try:
         with guard.protecting(loop):
             loop.run()
@@ -163,10 +163,10 @@ def _run(loop: StreamLoop, guard: Guard) -> None:
 
 
 class _RecorderChild:
-    """The recorder as a child process; it misses nothing that is published from now on.
+    """The recorder as a child process. It receives everything published after the constructor.
 
-    If it fails while the motion is played, that is logged at once, and ends the motion if
-    `safety.require_record` is set.
+    If it fails while the motion is played, the failure is logged at once. With
+    `safety.require_record` it also ends the motion.
     """
 
     def __init__(self, path: Path, force: bool, planned: Plan, loop: StreamLoop) -> None:
@@ -193,14 +193,14 @@ class _RecorderChild:
             self._loop.end_for_error(f"the recording failed: {cause.rstrip('.')}")
 
     def finish(self, stream: StreamSummary) -> RecorderSummary:
-        """End the recording, and return its summary; if the recorder failed, only why.
+        """End the recording, and return its summary, or only the cause if the recorder failed.
 
-        A signal that comes meanwhile ends the recorder at once.
+        A signal during this time ends the recorder at once.
         """
         summary: RecorderSummary
         final = {"stream": stream.model_dump(mode="json"), "stopped": self._failure}
         requests = self._loop.stop_requests
-        self._child.resume()  # if it is stopped, it can still close its file
+        self._child.resume()  # a stopped recorder can still close its file
         try:
             summary = self._child.finish(
                 final, abandoned=lambda: self._loop.stop_requests > requests
@@ -210,12 +210,12 @@ class _RecorderChild:
             return RecorderSummary(path=path, paths=[path], stopped=self._failure or error.cause)
         gone = [path for path in summary.paths if not Path(path).exists()]
         if gone and not summary.removed:
-            summary.stopped = summary.stopped or f"{gone[0]} is not there any more."
+            summary.stopped = summary.stopped or f"{gone[0]} no longer exists."
         return summary
 
 
 def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
-    """Where to record to; refused, before anything is started, where that is not possible."""
+    """The path to record to. It raises, before anything is started, if that is not possible."""
     if settings.auto_name:
         path = timestamped(path, time.time_ns())
     split = settings.split_size is not None or settings.split_duration is not None
@@ -224,15 +224,15 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
 
 
 def _rehearse(motion: Motion | str | Path, config: Config) -> None:
-    """Refuse a policy that ends early in the simulator, within the first seconds of the motion."""
-    from g1stream.app.rollout import rollout  # it takes a while to import
+    """Refuse a policy that fails in the simulator within the first seconds of the motion."""
+    from g1stream.app.rollout import rollout  # slow to import
 
     settings = config.stream
     seconds = min(settings.rehearse, settings.duration or settings.rehearse)
     _LOGGER.info("rehearsal: %g s in the simulator", seconds)
     logger = logging.getLogger("g1stream")
     level = logger.level
-    logger.setLevel(logging.WARNING)  # its phases are not those of the stream
+    logger.setLevel(logging.WARNING)  # the rehearsal's phases are not the stream's
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
     asked = config.model_copy(update={"stream": standing})
     try:
@@ -242,14 +242,14 @@ def _rehearse(motion: Motion | str | Path, config: Config) -> None:
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
             f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
-            "See what `g1stream policy` says of it; --anyway streams it all the same.",
+            "Check its inputs with `g1stream policy`, or give --anyway to stream it nevertheless.",
         )
     if reason:
         _LOGGER.warning("rehearsal: %s", reason)
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:
-    """Refuse before we publish commands ourselves, which would stop another g1stream."""
+    """Refuse to start if another program publishes commands; ours would stop another g1stream."""
     topic = planned.topic
     others = participant.commanders(topic.name)
     if others:
@@ -263,7 +263,7 @@ def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:
 def _diagnose(
     planned: Plan, participant: Participant, link: DdsLink, report: LoopReport
 ) -> list[Finding]:
-    """Why there was no robot to play on; also logged, so that it is in the recording."""
+    """Find out why there was no robot, and log it so that the recording has it."""
     from g1stream.doctor.findings import explain_no_robot
     from g1stream.doctor.inspection import inspect_participant, search_elsewhere
 
@@ -272,9 +272,9 @@ def _diagnose(
         return []
     try:
         wire = inspect_participant(participant, _LISTEN)
-    except WireError:  # the outcome is reported all the same
+    except WireError:  # the outcome is reported anyway
         return []
-    # The loop has listened for longer. Subscribers are counted only now, so that one that has
+    # The loop has listened for longer. Subscribers are counted only now, so that one that
     # appeared in the meantime counts as matched.
     state = replace(wire.state, received=wire.state.received or report.states)
     where = planned.config.dds

@@ -1,4 +1,4 @@
-"""`g1stream attach`: the motion beside a session that was recorded without it."""
+"""`g1stream attach`: adds the reference to a session that was recorded without it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from g1stream.session.records import AttachedInfo
 
-#: A second best place with less similarity than this is not worth a word.
+#: Another place in the motion is reported only above this similarity.
 _WORTH_TELLING = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attach(MotionPartFlags):
-    """Finds when a motion was played in a session, whoever played and recorded it: by the commands
-    where they carry joint targets of it, else by the measured joints. From then on the session has
-    the reference: /tf, the ghost, the tracking error, and all that `report` says of them.
+    """Finds when a motion was played in a session, whichever program played and recorded it. It
+    compares the motion with the commands if they contain its joint targets, otherwise with the
+    measured joints. The new session has the reference: /tf, the ghost and the tracking error.
 
-    Reads sessions of `g1stream record` and bags of `ros2 bag record /lowstate /lowcmd` (MCAP; in
-    SQLite with the extra `ros2`), logs with joint states, and CSV logs with a column of time.
+    Reads sessions of `g1stream record`, bags of `ros2 bag record /lowstate /lowcmd` (MCAP; SQLite
+    with the extra `ros2`), logs with joint states, and CSV logs with a time column.
 
-    Without --out it only prints what it found. `report`, `plot`, `compare`, `info` and `render`
-    take --motion and need no file.
+    Without --out it only prints the result. `report`, `plot`, `compare`, `info` and `render` accept
+    --motion, so they need no file with the reference.
 
     Examples:
       g1stream attach robot.mcap dance.csv
@@ -37,19 +37,19 @@ class Attach(MotionPartFlags):
       g1stream report robot.mcap --motion dance.csv
 
     Exit codes:
-      0  found, and written if asked for
-      2  bad input: not a session, another motion, or several places are as likely
+      0  found, and written with --out
+      2  bad input: not a session, the wrong motion, or an ambiguous place
     """  # noqa: D205
 
     session: Path = argument("The session, bag or log.", "SESSION")
     reference: str = argument(MOTION, "MOTION")
     out: Path | None = flag(None, "The session to write.", "OUT.mcap", aliases=("-o",))
-    play: int = flag(1, "Which time, where it was played several times.", "N", gt=0)
-    force: bool = flag(False, "Replace a file that is there.")
-    json: bool = flag(False, "Print what was found as JSON.")
+    play: int = flag(1, "Number of the playback, if it was played several times.", "N", gt=0)
+    force: bool = flag(False, "Replace an existing file.")
+    json: bool = flag(False, "Print the result as JSON.")
 
     def run(self) -> int:
-        """Find the motion, print where, write the session, and return the exit code."""
+        """Find the motion, print the result, write the session, and return the exit code."""
         from g1stream.app.attach import write_attached
         from g1stream.app.session import open_session
         from g1stream.files import check_output_path, check_suffix
@@ -79,20 +79,20 @@ class Attach(MotionPartFlags):
 
 def _told(info: AttachedInfo) -> str:
     lines = [
-        f"played      {info.first_s:.2f} to {info.last_s:.2f} s of the motion, from "
+        f"played      {info.first_s:.2f} to {info.last_s:.2f} s of the motion, starting "
         f"{info.starts_s[info.play - 1]:.3f} s after",
-        f"            the first sample on, at {info.speed:.4f} of its speed",
-        f"by          {info.by}: similarity {info.similarity:.3f}, RMS difference "
+        f"            the first sample, at {info.speed:.4f} of its speed",
+        f"found in    {info.by}: similarity {info.similarity:.3f}, RMS difference "
         f"{info.rmse_rad:.4f} rad",
     ]
     if info.by_robot:
-        lines.append("            (a robot that is late cannot be told from a later start)")
+        lines.append("            (a delay of the robot has the same effect as a later start)")
     if info.plays > 1:
         starts = ", ".join(f"{one:.3f}" for one in info.starts_s)
-        lines.append(f"times       {info.plays}, from {starts} s on; this is number {info.play}")
+        lines.append(f"times       {info.plays}, starting at {starts} s; this is {info.play}")
     if info.rival is not None and info.rival > _WORTH_TELLING:
         lines.append(f"next best   another place in the motion: similarity {info.rival:.3f}")
-    heading = "of the IMU" if info.heading_from == "imu" else "of the motion (no IMU)"
-    place = "of SportModeState" if info.place_from == "sportmodestate" else "of the motion"
-    lines.append(f"reference   heading {heading}, place {place}, at its first sample")
+    heading = "from the IMU" if info.heading_from == "imu" else "from the motion (no IMU)"
+    place = "from SportModeState" if info.place_from == "sportmodestate" else "from the motion"
+    lines.append(f"reference   heading {heading}, position {place}, at its first sample")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""What the commands share: settings under flags, exit codes, signals and output."""
+"""The base classes of commands, exit codes, signal handling and printing."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _HANDLED = tuple(
     sorted(
         signal.valid_signals()
         - {_S.SIGKILL, _S.SIGSTOP}  # cannot be handled
-        - {_S.SIGCHLD, _S.SIGCONT, _S.SIGURG, _S.SIGWINCH}  # end nothing
-        - {_S.SIGPIPE, _S.SIGXFSZ}  # Python ignores them, and raises an OSError at the write
-        # The faulty instruction would run again and again; the guard process damps.
+        - {_S.SIGCHLD, _S.SIGCONT, _S.SIGURG, _S.SIGWINCH}  # do not end a process
+        - {_S.SIGPIPE, _S.SIGXFSZ}  # ignored by Python: the write raises an OSError instead
+        # Returning would repeat the faulty instruction for ever; the guard process damps.
         - {_S.SIGSEGV, _S.SIGBUS, _S.SIGFPE, _S.SIGILL, _S.SIGTRAP, _S.SIGSYS}
     )
 )
-"""The signals that end a command in order: all that can."""
+"""The signals that end a command with an orderly shutdown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,24 +44,24 @@ class Command:
     """A subcommand and its flags."""
 
     def run(self) -> int:
-        """Run it, and return the exit code."""
+        """Run the command, and return the exit code."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuietFlag(Command):
-    """The flag of the commands that print progress and a summary."""
+    """The flag --quiet, of commands that print progress and a summary."""
 
     quiet: bool = flag(
         False,
-        "Print only warnings, errors, and what --json asks for.",
+        "Print only warnings, errors, and the output of --json.",
         aliases=("-q",),
     )
 
 
 @contextmanager
 def quietly(command: Command) -> Iterator[None]:
-    """Print only what --quiet leaves, if a command has it, for the length of a `with`."""
+    """Suppress all output that --quiet excludes, for the length of a `with`."""
     if not getattr(command, "quiet", False):
         yield
         return
@@ -78,27 +78,28 @@ def quietly(command: Command) -> Iterator[None]:
 
 
 def print_note(text: str) -> None:
-    """Print on standard error what happens, unless it is to be quiet."""
+    """Print a status message on standard error, except with --quiet."""
     if not is_quiet():
         print(printable(text), file=sys.stderr)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsCommand(Command):
-    """A subcommand that has settings.
+    """A subcommand with settings.
 
     Attributes:
-        settings: those whose flags were given, keyed like `stream.rate`; `parse_flags` sets it.
+        settings: values of the flags that were given, keyed like `stream.rate`. `parse_flags` sets
+            it.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
 
     config: str | None = flag(
-        None, "File with settings, or a name: robot, sim. Flags override it.", "TOML"
+        None, "File with settings, or a built-in one: robot, sim. Flags override it.", "TOML"
     )
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it."""
+        """The settings from the config file, if any, overridden by the flags."""
         from g1stream.config import load_config
 
         return load_config(self.config, self.overrides())
@@ -110,26 +111,26 @@ class SettingsCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class LiveCommand(SettingsCommand, QuietFlag):
-    """A subcommand that can serve what it does to a viewer."""
+    """A subcommand that can serve live data to a viewer."""
 
-    # The port has a flag of its own: in `stream --live dance.csv` the motion would be taken for it.
+    # --live takes no port, because `stream --live dance.csv` would read the motion as its value.
     live: bool = flag(
         False,
-        "Serve what is on the DDS domain to Foxglove and Lichtblick on this machine "
+        "Serve the data on the DDS domain to Foxglove and Lichtblick on this machine "
         "(extra `live`).",
     )
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it."""
+        """The settings from the config file, if any, overridden by the flags."""
         if not self.live and "live_port" in self.settings:
             raise ConfigError(
-                "The flag --live-port has no effect without --live.", "Add --live, or leave it out."
+                "The flag --live-port has no effect without --live.", "Add --live, or remove it."
             )
         return super().resolve()
 
     @contextmanager
     def serving(self, config: Config, motion: Motion | None = None) -> Iterator[None]:
-        """Serve for the length of a `with`, if asked to, and print the address to open."""
+        """With --live, serve for the length of a `with`, and print the address to open."""
         if not self.live:
             yield
             return
@@ -142,7 +143,7 @@ class LiveCommand(SettingsCommand, QuietFlag):
 
 
 def announce_wire(config: Config, *, commands: bool = True) -> None:
-    """Print on standard error where on DDS this goes; with a warning, where a robot may be."""
+    """Print the DDS domain and interface on standard error, with a warning off loopback."""
     from g1stream.dds.domain import is_local_only
     from g1stream.dds.messages import COMMANDS
 
@@ -152,7 +153,7 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
     if commands and not is_local_only(config.dds.interface):
         where = (
             f"WARNING: {where}: every subscriber of {COMMANDS[config.stream.via].name} will move, "
-            "a real robot too. "
+            "including a real robot. "
             "Keep its remote at hand"
         )
         print(f"{printable(where)}.", file=sys.stderr)
@@ -162,30 +163,30 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
 
 def yes_flag(*, advanced: bool = False) -> Any:
     """The flag --yes of commands that ask before they move a robot."""
-    text = "Confirm beforehand, by the name of the interface in use."
+    text = "Confirm in advance, with the name of the interface in use."
     return flag(None, text, "INTERFACE", advanced=advanced)
 
 
 def confirmed(interface: str, yes: str | None) -> bool:
-    """Whether the user wants to command what is on an interface: asks on the terminal."""
+    """Ask on the terminal whether to command what is on an interface, unless --yes names it."""
     if yes is not None:
         if yes == interface:
             return True
         raise ConfigError(
             f"The flag --yes names {yes}, but the interface in use is {interface}.",
-            f"Check which robot you mean; --yes {interface} confirms this one.",
+            f"Check which robot you mean. --yes {interface} confirms this one.",
         )
     if not sys.stdin.isatty():
         raise ConfigError(
-            "There is no terminal to confirm on.",
-            f"Run it on a terminal, or confirm beforehand: --yes {interface}.",
+            "Confirmation needs a terminal, and standard input is none.",
+            f"Run it on a terminal, or confirm in advance with --yes {interface}.",
         )
 
     def end(reason: str) -> None:
         raise SystemExit(exit_code_of_signal(reason))
 
-    with on_signals(end):  # nothing moves yet: they end the question, whatever they do later
-        print(f"Type {interface} to go on: ", end="", file=sys.stderr, flush=True)
+    with on_signals(end):  # nothing moves yet, so a signal only ends the question
+        print(f"Type {interface} to continue: ", end="", file=sys.stderr, flush=True)
         return sys.stdin.readline().strip() == interface
 
 
@@ -193,8 +194,8 @@ def confirmed(interface: str, yes: str | None) -> bool:
 def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
     """Call `stop` with the name of each signal that would end or stop the process, in a `with`.
 
-    Those with a handler that is not Python's stay as they are: it could not be put back.
-    `python -X faulthandler` has one of SIGABRT.
+    A signal with a handler from outside Python keeps it, because Python could not restore it.
+    `python -X faulthandler` installs one for SIGABRT.
     """
     before = {
         number: signal.signal(number, lambda received, _: stop(_signal_name(received)))
@@ -211,12 +212,12 @@ def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
 def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
-    except ValueError:  # only the first and the last real-time signal have one
+    except ValueError:  # only the first and the last real-time signal have a name
         return f"SIGRTMIN+{number - signal.SIGRTMIN}"
 
 
 def exit_code_of_signal(reason: str) -> int | None:
-    """128 + n where the reason is the name of signal n, as in a shell."""
+    """128 + n if the reason is the name of signal n, as in a shell; None otherwise."""
     names = {_signal_name(number): 128 + number for number in _HANDLED}
     return names.get(reason)
 
@@ -227,7 +228,7 @@ def print_warning(text: str) -> None:
 
 
 def print_lines(text: str, file: TextIO | None = None) -> None:
-    """Print lines, on standard output if not told otherwise, with what a terminal obeys escaped."""
+    """Print lines, on standard output by default, with terminal control characters escaped."""
     print("\n".join(map(printable, text.split("\n"))), file=file)
 
 
@@ -245,10 +246,11 @@ def print_summary(summary: Summary, *, as_json: bool) -> None:
 
 
 def exit_code(summary: Summary) -> int:
-    """The exit code of a run: 0 where it went as asked and was recorded completely.
+    """The exit code of a run.
 
-    128 + n where signal n ended the stream; 1 where something else did, where a recording is known
-    to lack samples or received none, or where its recorder wrote no summary.
+    0 if the motion was played as asked and the recording is complete. 128 + n if signal n ended
+    the stream. 1 if something else ended it, or if a recording lacks samples, received none or has
+    no summary from its recorder.
     """
     reason, recorder = summary.termination.reason, summary.recorder
     if reason:

@@ -1,4 +1,4 @@
-"""`g1stream completion`: a script with which a shell completes commands, flags and files."""
+"""`g1stream completion`: prints a script for shell completion of commands, flags and files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from argparse import Action
 
-#: A text with one of these words in its metavar may be a path, too.
+#: A value whose metavar contains one of these words may also be a path.
 _FILES = ("FILE", "TOML", "ONNX", "URDF", "MOTION", "SESSION", "OTHER")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Completion(Command):
-    """Prints the script. Make it anew after an update, and after an extra was installed.
+    """Prints the script. Generate it again after an update, and after an extra was installed.
 
     Examples:
       g1stream completion bash > ~/.local/share/bash-completion/completions/g1stream
       g1stream completion zsh > ~/.zfunc/_g1stream
       g1stream completion fish > ~/.config/fish/completions/g1stream.fish
 
-    In zsh the directory has to be in fpath: put `fpath+=~/.zfunc` before `compinit` in ~/.zshrc.
+    In zsh, fpath must contain the directory: put `fpath+=~/.zfunc` before `compinit` in ~/.zshrc.
 
     Exit codes:
       0  printed
@@ -47,9 +47,9 @@ class Completion(Command):
 
 
 def _parser_of_all(file: Any, directory: Any) -> ArgumentParser:
-    """The parsers of all commands that are installed, as those of subcommands.
+    """A parser with all installed commands as its subcommands.
 
-    `file` and `directory` say how a shell completes paths.
+    `file` and `directory` define how a shell completes paths.
     """
     root = ArgumentParser("g1stream")
     root.add_argument("--version", action="store_true", help="show the version and exit")
@@ -70,7 +70,7 @@ def _parser_of_all(file: Any, directory: Any) -> ArgumentParser:
 
 
 def _complete(action: Action, file: Any, directory: Any) -> None:
-    """Say what the value of a flag or an argument is completed with."""
+    """Set what completes the value of a flag or an argument."""
     metavar = str(action.metavar or "")
     if metavar.startswith("{"):
         action.choices = metavar.strip("{}").split(",")

@@ -1,4 +1,4 @@
-"""`g1stream convert`: a motion into a session file or another motion file, a session into a bag."""
+"""`g1stream convert`: converts motions into session or motion files, and sessions into bags."""
 
 from __future__ import annotations
 
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 
-#: Flags that go with --ros2, and with a motion file as output, those of the motion aside.
+#: Flags that --ros2 and motion file outputs do not accept, except the motion's own flags.
 _OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
 _OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
 _OF_FORMAT: Final = {"files", "to", "velocities", "frames", "urdf", "force", "json"}
 
 
 class _StoppedError(BaseException):
-    """A signal was received; its name is the argument."""
+    """A signal was received. The argument is its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(MotionPartFlags, QuietFlag):
-    """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
+    """Needs no robot, no simulator and no DDS. Nothing is written if it fails.
 
-    Log and publish time of every message are the base time + frame / fps, to the nearest
-    nanosecond. With the default base time the same input always gives the same bytes.
+    Log time and publish time of every message are the base time + frame / fps, rounded to the
+    nearest nanosecond. With the default base time the same input always gives the same bytes.
 
-    An output that ends in .csv or .npz is a motion file again.
+    If the output ends in .csv or .npz, it is a motion file.
 
-    With --to the output is what another program reads, at its frame rate and in its orders:
-    beyondmimic, mjlab and holosoma are NPZ files to train from, sonic is a directory, lafan1 a CSV
-    and gmr a pickle. docs/formats.md says what is in them.
+    With --to the output is a file for another program, with that program's frame rate and orders:
+    NPZ training files for beyondmimic, mjlab and holosoma, a directory for sonic, a CSV for lafan1
+    and a pickle for gmr. docs/formats.md describes them.
 
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
-    has messages of ROS only.
+    has ROS messages only.
 
     Examples:
       g1stream convert dance.csv dance.mcap
@@ -71,68 +71,68 @@ class Convert(MotionPartFlags, QuietFlag):
 
     Exit codes:
       0        converted
-      2        bad input, such as a file of another kind
-      128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
+      2        bad input, such as an unsupported file
+      128 + n  ended by signal n, and nothing was written: 130 after Ctrl-C
     """
 
     files: tuple[str, ...] = argument(
-        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 and "
-        "--to sonic the directory, with --to gmr a .pkl.",
+        f"{MOTIONS} The last one is the output: .mcap, .csv or .npz; a directory with --ros2 and "
+        "--to sonic; a .pkl with --to gmr.",
         "MOTION... FILE",
     )
     to: MotionFormat | None = flag(
-        None, "Write the motion file that another program reads.", shown="a session"
+        None, "Write a motion file for another program.", shown="a session"
     )
     velocities: Velocities = flag(
         "spline",
-        "With --to: velocities are derivatives of the spline that is streamed, or differences of "
+        "With --to: the velocities are derivatives of the streamed spline, or differences of "
         "the frames in the file.",
         advanced=True,
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     base_time: str = flag(
         "0",
-        "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
+        "Time of frame 0: ns since 1970, or ISO 8601 with a time zone (2026-03-01T12:00:00Z).",
         "TIME",
         advanced=True,
     )
     frames: str = flag(
         ":",
-        "Only frames A to B - 1; either may be left out. Each keeps its time.",
+        "Only frames A to B - 1; either may be omitted. Each frame keeps its time.",
         "A:B",
         shown="all",
         advanced=True,
     )
     resample: float | None = flag(
         None,
-        "Sample the spline through the frames, with velocities and accelerations, at this rate.",
+        "Sample the spline at this rate, with velocities and accelerations.",
         "HZ",
-        shown="the frames as they are",
+        shown="the file's frames",
         gt=0,
     )
-    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.", advanced=True)
+    no_floating_root: bool = flag(False, "Fix the root link at the world's origin.", advanced=True)
     root_link: str | None = flag(
         None,
-        "The link whose pose is in the motion file.",
+        "The link whose pose the motion file contains.",
         "LINK",
         shown="the URDF's root",
         advanced=True,
     )
-    world_frame: str = flag("world", "Name of the world's frame.", "NAME", advanced=True)
+    world_frame: str = flag("world", "Name of the world frame.", "NAME", advanced=True)
     flat: bool = flag(
-        False, "Put every link straight under the world instead of under its parent.", advanced=True
+        False, "Make every link a child of the world instead of its parent link.", advanced=True
     )
     urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
     topic: str = flag("/tf", "Topic of the transforms.", "TOPIC", advanced=True)
     meshes: bool = flag(
         False,
-        "Show the meshes of the URDF, with fewer triangles, or the real G1's (extra `meshes`).",
+        "Show the URDF's meshes, simplified, or the real G1's (extra `meshes`).",
         advanced=True,
     )
     compression: Literal["zstd", "lz4", "none"] = flag(
         "zstd", "Compression of the file.", advanced=True
     )
-    force: bool = flag(False, "Replace a file that exists already.")
+    force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     @property
@@ -150,25 +150,27 @@ class Convert(MotionPartFlags, QuietFlag):
         if len(self.files) < 2:
             raise ConfigError(
                 "The argument MOTION or FILE is missing.",
-                "Add it; `g1stream convert --help` says what it is.",
+                "Add it. `g1stream convert --help` describes it.",
             )
         from g1stream.motion.motion import MOTION_SUFFIXES
 
         of_motion = {f.name for f in fields(MotionPartFlags)}
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
-            self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
+            self._require(_OF_ROS2, "--ros2, which does not change the session")
             if len(self.motions) > 1:
-                raise ConfigError("--ros2 converts one session.", "Give one session and FILE.")
+                raise ConfigError(
+                    "--ros2 converts exactly one session.", "Give one session and FILE."
+                )
             if not is_session(session := Path(self.motions[0])):
                 raise ConfigError(
                     f"--ros2 converts a session, and {session} is no session file.",
-                    "Give one; `g1stream convert MOTION OUT.mcap` makes one of a motion.",
+                    "Give a session file, such as `g1stream convert MOTION OUT.mcap` writes.",
                 )
         elif self.to:
             self._require(_OF_FORMAT | of_motion, f"--to {self.to}")
         elif self.velocities != Convert.velocities:
-            raise ConfigError("--velocities goes with --to.", "Add --to, or leave it out.")
+            raise ConfigError("--velocities has no effect without --to.", "Add --to, or remove it.")
         elif self.out.suffix.lower() in MOTION_SUFFIXES:
             self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
             return self._motion_file()
@@ -183,11 +185,11 @@ class Convert(MotionPartFlags, QuietFlag):
         given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
         if given:
             raise ConfigError(
-                f"{flag_name(given[0])} does not go with {what}.", "Leave one of the two out."
+                f"{flag_name(given[0])} cannot be combined with {what}.", "Remove one of the two."
             )
 
     def _motion(self, robot: G1 | None = None) -> Motion:
-        """The motions as one, and of that the frames that are wanted."""
+        """The joined motions, cut to the frames of --frames."""
         motion = self.load(self.motions, robot)
         first, behind = _frames(self.frames)
         return motion.frames(first or 0, motion.n_frames if behind is None else behind)
@@ -202,7 +204,7 @@ class Convert(MotionPartFlags, QuietFlag):
             print_warning(warning)
         path = motion.save(self.out, force=self.force)
         if path.suffix.lower() == ".csv" and motion.fps != DEFAULT_FPS:
-            print_warning(f"a CSV keeps no rate: read {path} with --fps {motion.fps:g}")
+            print_warning(f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}")
         about = {"path": str(path), "frames": motion.n_frames, "fps": motion.fps}
         if self.json:
             print_json(about)
@@ -211,8 +213,8 @@ class Convert(MotionPartFlags, QuietFlag):
         return EXIT_OK
 
     def _convert(self) -> int:
-        # Checked between chunks: an exception in a signal handler could come between creating the
-        # temporary file and the code that removes it.
+        # Checked between chunks: an exception raised in a signal handler could come between the
+        # creation of the temporary file and the code that removes it.
         stopped: list[str] = []
         with on_signals(stopped.append), showing_progress() as progress:
 
@@ -248,7 +250,7 @@ class Convert(MotionPartFlags, QuietFlag):
             f"{counted(len(report.counts), 'topic')}, {report.size / 1e6:.1f} MB"
         )
         if report.left_out:
-            text += f"\nleft out, not ROS messages: {', '.join(sorted(report.left_out))}"
+            text += f"\nomitted, not ROS messages: {', '.join(sorted(report.left_out))}"
         return report.as_dict(), text, ()
 
     def _file_of_format(

@@ -1,4 +1,4 @@
-"""`g1stream demo`: simulate, play, record and compare on this machine."""
+"""`g1stream demo`: simulates a G1, plays a motion, records and compares it on this machine."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(LiveCommand, MotionFlags):
-    """Needs no robot and no other program. Writes session.mcap and tracking.png.
+    """Needs no robot and no other program. It writes session.mcap and tracking.png.
 
-    With the extra `report` installed it writes report.html, too.
+    With the extra `report` it also writes report.html.
 
-    Without a domain, in --domain or the config file, it takes the first of the DDS domains 1 to 8
-    in which nobody publishes LowState or LowCmd.
+    Unless --domain or the config file sets a domain, it uses the first of the DDS domains 1 to 8
+    without a publisher of LowState or LowCmd.
 
     Examples:
       g1stream demo
@@ -47,7 +47,7 @@ class Demo(LiveCommand, MotionFlags):
     out: Path = flag(
         Path("demo-out"), "Directory for session.mcap, tracking.png, report.html.", "DIR"
     )
-    force: bool = flag(False, "Replace files that exist already.")
+    force: bool = flag(False, "Replace existing files.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
@@ -65,7 +65,7 @@ class Demo(LiveCommand, MotionFlags):
         with playing() as prepare, ExitStack() as stack:
 
             def on_loop(loop: StreamLoop, config: Config) -> None:
-                stack.enter_context(self.serving(config))  # in the domain that the demo takes
+                stack.enter_context(self.serving(config))  # in the domain that the demo chose
                 prepare(loop, motion, config)
 
             summary = demo(motion, self.out, config, force=self.force, on_loop=on_loop)
@@ -81,8 +81,8 @@ class Demo(LiveCommand, MotionFlags):
 
 
 def _write_page(session: Path, page: Path) -> None:
-    """Write the page of `g1stream report`; where that is not installed, say how to get it."""
-    told = StringIO()  # where it is written; standard output may be JSON
+    """Write the page of `g1stream report`, or print how to install it."""
+    told = StringIO()  # the page's path must not mix with JSON on standard output
     try:
         with redirect_stdout(told):
             report: Any = load_command("report")

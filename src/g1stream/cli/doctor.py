@@ -1,4 +1,4 @@
-"""`g1stream doctor`: the findings, and the exit code of the worst."""
+"""`g1stream doctor`: checks DDS, robot and machine; the worst finding sets the exit code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Doctor(SettingsCommand):
     """Checks the interface, the DDS domain, the robot or simulator, and wake-up latency.
 
-    Only subscribes: nothing is published.
+    It only subscribes; it publishes nothing.
 
     Examples:
       g1stream doctor
@@ -31,7 +31,7 @@ class Doctor(SettingsCommand):
       2  problems, or bad input
     """
 
-    seconds: float = flag(1.0, "How long to listen.", "SECONDS", gt=0)
+    seconds: float = flag(1.0, "Time to listen.", "SECONDS", gt=0)
     json: bool = flag(False, "Print the findings as JSON on standard output.")
 
     def run(self) -> int:
@@ -47,7 +47,7 @@ class Doctor(SettingsCommand):
 
 
 def render(findings: Iterable[Finding]) -> str:
-    """The findings as text: cause and remedy, a line each."""
+    """The findings as text: a line each for cause and remedy."""
     lines = []
     for finding in findings:
         label = f"{finding.level.name.lower():<8} {finding.about:<13} "

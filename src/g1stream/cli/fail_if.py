@@ -1,4 +1,4 @@
-"""The conditions of --fail-if: a value beside a number, or beside so many times that of a base."""
+"""Conditions of --fail-if: they compare a value with a number or a multiple of the base value."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FORM: Final = re.compile(
 
 
 class FailIf(NamedTuple):
-    """A condition `NAME OP NUMBER` or `NAME OP NUMBER * base`, OP one of `< <= > >=`."""
+    """A condition `NAME OP NUMBER` or `NAME OP NUMBER * base`. OP is one of `< <= > >=`."""
 
     text: str
     name: str
@@ -31,12 +31,12 @@ class FailIf(NamedTuple):
 
     @classmethod
     def parse(cls, text: str, names: Sequence[str], with_base: Sequence[str] = ()) -> FailIf:
-        """Read a condition."""
+        """Parse a condition."""
         match = _FORM.fullmatch(text)
         if not match or not isfinite(number := float(match[3])):
             remedy = "Give NAME OP NUMBER with OP one of < <= > >=, such as 'rmse > 0.02'"
             remedy += ", or NAME OP NUMBER * base." if with_base else "."
-            raise ConfigError(f"The condition {text!r:.200} cannot be read.", remedy)
+            raise ConfigError(f"The condition {text!r:.200} is not valid.", remedy)
         name, of_base = match[1], bool(match[4])
         if name not in names:
             close = ", ".join(get_close_matches(name, names))
@@ -44,18 +44,18 @@ class FailIf(NamedTuple):
             whole = ", ".join(one for one in names if "." not in one)
             joint = "" if whole.count(",") == len(names) - 1 else f", or one such as {names[-1]}"
             raise ConfigError(
-                f"The condition {text!r:.200} names {name}, which is not known here.",
+                f"The condition {text!r:.200} uses the unknown name {name}.",
                 f"{meant}Choose from {whole}{joint}.",
             )
         if of_base and name not in with_base:
             raise ConfigError(
-                f"The condition {text!r:.200} compares with a base, and {name} has none.",
-                f"Give a number alone, such as '{name} {match[2]} {match[3]}'.",
+                f"The condition {text!r:.200} compares with a base, but {name} has no base value.",
+                f"Give only a number, such as '{name} {match[2]} {match[3]}'.",
             )
         return cls(text.strip(), name, _OPERATORS[match[2]], number, of_base)
 
     def holds(self, value: float | None, base: float | None = None) -> bool | None:
-        """Whether it holds for a value; None where that, or the base it needs, is not known."""
+        """Whether the condition holds; None if the value, or the base that it needs, is unknown."""
         factor = base if self.of_base else 1.0
         if value is None or factor is None or not (isfinite(value) and isfinite(factor)):
             return None

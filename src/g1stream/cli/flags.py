@@ -1,6 +1,6 @@
-"""Flags: fields of a command's dataclass, and the settings that have a flag on the command.
+"""Flags: a command's dataclass fields, and the settings that have a flag on the command.
 
-argparse reads the command line and writes the help; pydantic checks the values.
+argparse parses the command line and writes the help; pydantic checks the values.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ if TYPE_CHECKING:
 
 CommandT = TypeVar("CommandT")
 
-#: Flags of earlier versions, and what to use.
-_REMOVED = {"--trim": "--start and --duration, which are about the whole motion"}
-#: Units that do not say by themselves what a value is.
+#: Flags of earlier versions, and their replacements.
+_REMOVED = {"--trim": "--start and --duration, which apply to the whole motion"}
+#: Units that do not explain a value by themselves.
 _UNITS = {"s": "SECONDS", "m": "METERS"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Option:
-    """What a flag is, beside its name, type and default."""
+    """The help text and restrictions of a flag."""
 
     text: str
     metavar: str = ""
@@ -73,11 +73,11 @@ def flag(
     aliases: tuple[str, ...] = (),
     advanced: bool = False,
 ) -> Any:
-    """A flag of a command, as a field of its dataclass; MISSING as its default must be given.
+    """A flag of a command, as a field of its dataclass. The default MISSING makes it required.
 
-    `metavar` stands for its value in the help, and `shown` for its default; `positional`: it is
-    given without its name; `gt`: its value is greater than this; `aliases`: such as `-o`;
-    `advanced`: only --help-all shows it.
+    `metavar` stands for the value in the help, and `shown` for the default. A `positional` flag is
+    given without its name. The value must be greater than `gt`. `aliases` are names such as `-o`.
+    Only --help-all shows an `advanced` flag.
     """
     required = default is MISSING
     if not shown and default not in (None, False, MISSING):
@@ -96,7 +96,7 @@ def flag(
 
 
 def argument(text: str, metavar: str) -> Any:
-    """What must be given, by position."""
+    """A required positional argument."""
     return flag(MISSING, text, metavar, positional=True)
 
 
@@ -108,16 +108,16 @@ def flag_name(name: str) -> str:
 def parse_flags(
     kind: type[CommandT], name: str, purpose: str, arguments: Sequence[str]
 ) -> CommandT:
-    """Make a command of its arguments; ends the process on --help and --help-all.
+    """Make a command from its arguments. It ends the process on --help and --help-all.
 
-    The class `kind` is a dataclass with a `flag` or an `argument` in each field; its docstring is
-    shown below the flags, its paragraphs wrapped. One with the field `settings` also gets a flag
-    for each setting that has one on this command; the field holds those that were given, keyed like
-    `stream.rate`.
+    The class `kind` is a dataclass with a `flag` or an `argument` in each field. The help shows its
+    docstring below the flags, with wrapped paragraphs. A class with the field `settings` also gets
+    a flag for each setting that has one on this command. The field then holds the settings that
+    were given, keyed like `stream.rate`.
 
     Raises:
-        ConfigError: a flag or an argument that does not exist or is missing, or a value that its
-            flag does not accept.
+        ConfigError: a flag or an argument is unknown or missing, or a flag does not accept its
+            value.
     """
     parser, settings, hints = _parser_of(kind, name, purpose, everything="--help-all" in arguments)
     given = parser.parse(arguments)
@@ -140,7 +140,7 @@ def _parser_of(
         parser.add_flag(parser, one.name, one.metadata["option"], hints[one.name], one.default)
     settings = _settings_of(name) if "settings" in hints else {}
     for table in dict.fromkeys(key.rpartition(".")[0] for key in settings):
-        # The tables of a TOML file mean something to those who want to see all flags.
+        # The tables of a TOML file only interest users who want to see all flags.
         group = parser.add_argument_group(f"[{table}]") if table and everything else parser
         for key, setting in settings.items():
             if key.rpartition(".")[0] == table:
@@ -150,19 +150,19 @@ def _parser_of(
 
 
 def command_parser(kind: type[Any], name: str, purpose: str) -> ArgumentParser:
-    """A parser that knows all flags of a command, for what is made of them, such as a man page."""
+    """A parser that knows all flags of a command, for completion scripts and man pages."""
     return _parser_of(kind, name, purpose, everything=True)[0]
 
 
 class _Parser(ArgumentParser):
-    """The parser of one command. What it refuses is a `ConfigError`."""
+    """The parser of one command. It raises a `ConfigError` for bad arguments."""
 
     def __init__(self, command: str, purpose: str, epilog: str, *, everything: bool) -> None:
         width = min(80, shutil.get_terminal_size().columns)
         super().__init__(
             prog=f"g1stream {command}",
             description=textwrap.fill(purpose, width),
-            # Paragraphs with indented lines, such as the examples, stay as they are.
+            # Paragraphs with indented lines, such as the examples, are not wrapped.
             epilog="\n\n".join(
                 paragraph if "\n " in paragraph else textwrap.fill(paragraph, width)
                 for paragraph in epilog.split("\n\n")
@@ -181,9 +181,9 @@ class _Parser(ArgumentParser):
     def add_flag(
         self, group: _ActionsContainer, key: str, option: _Option, kind: Any, default: Any = None
     ) -> None:
-        """Add a flag, or a positional argument, whose value is of a type.
+        """Add a flag, or a positional argument, with the type of its value.
 
-        Only a positional argument needs the default here: argparse cannot leave it out.
+        Only a positional argument needs the default here, because argparse cannot leave it unset.
         """
         note = f" ({option.note})" if option.note else ""
         about: dict[str, Any] = {"help": f"{option.text}{note}".replace("%", "%%")}
@@ -216,7 +216,7 @@ class _Parser(ArgumentParser):
         group.add_argument(*names, dest=key, **about)
 
     def _reader(self, shown: str, kind: Any, limits: tuple[Any, ...]) -> Callable[[str], Any]:
-        """What makes a value of its text."""
+        """A function that converts the text of an argument to its value."""
         if get_origin(kind) in (tuple, list):
             kind = get_args(kind)[0]
         plain = _kinds(kind)[0]
@@ -238,7 +238,7 @@ class _Parser(ArgumentParser):
         return read
 
     def complete(self) -> None:
-        """All flags have been added: make the usage, and --help-all where there is more to show."""
+        """Write the usage, and add --help-all if there are advanced flags."""
         indent = " " * len("usage: ")
         usage = textwrap.fill(
             " ".join(self._usage),
@@ -253,7 +253,7 @@ class _Parser(ArgumentParser):
             self.add_argument("--help-all", action="help", help=text)
 
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:
-        """The values that are given, by the key that they were added with."""
+        """The values that were given, by the key of `add_flag`."""
         end = arguments.index("--") if "--" in arguments else len(arguments)
         texts = list(arguments)
         for i, text in enumerate(texts[:end]):
@@ -271,18 +271,18 @@ class _Parser(ArgumentParser):
         namespace, extra = self.parse_known_intermixed_args(texts)
         if extra:
             raise ConfigError(
-                f"The argument {extra[0]} is one too many for g1stream {self._command}.",
-                f"Leave it out; {self._see_help()}",
+                f"g1stream {self._command} has no use for the argument {extra[0]}.",
+                f"Remove it; {self._see_help()}",
             )
         return vars(namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Refuse what argparse refuses: values and arguments that are missing."""
+        """Raise a ConfigError for argparse's error, such as a missing value."""
         cause = re.sub("^argument ", "flag ", message)
         raise ConfigError(f"{cause[0].upper()}{cause[1:]}.", self._see_help())
 
     def _see_help(self) -> str:
-        return f"`g1stream {self._command} --help` says what it accepts."
+        return f"`g1stream {self._command} --help` lists what it accepts."
 
 
 def _settings_of(command: str) -> dict[str, FieldInfo]:
@@ -304,7 +304,7 @@ def _option_of(setting: FieldInfo) -> _Option:
     about: Any = setting.json_schema_extra
     text, default = setting.description or "", setting.default
     if default is True:
-        text = f"switch this off: {text}"
+        text = f"Switch this off: {text}"
     notes = [] if _choices(setting.annotation) else [accepted(setting)]
     if default is not None and not isinstance(default, bool):
         notes.append(f"default: {_text(default)}")
@@ -319,7 +319,7 @@ def _option_of(setting: FieldInfo) -> _Option:
 
 
 def _kinds(hint: Any) -> tuple[Any, ...]:
-    """The types in a hint, without Optional."""
+    """The types in a type hint, without Optional."""
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 

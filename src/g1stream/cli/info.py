@@ -1,4 +1,4 @@
-"""`g1stream info`: what is in a session file."""
+"""`g1stream info`: prints the contents of a session file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from g1stream.errors import RecordingError
 
 @dataclass(frozen=True, kw_only=True)
 class Info(SessionFlags):
-    """Reads files of killed recorders too.
+    """Also reads files of recorders that were killed.
 
     Examples:
       g1stream info session.mcap
@@ -32,8 +32,8 @@ class Info(SessionFlags):
         """Print the summary, and return the exit code."""
         session = self.open(self.file)
         summary = session.summary()
-        if summary.moves:  # elsewhere the links tell nothing that the joints do not
-            with suppress(RecordingError):  # the problems say what is wrong with the file
+        if summary.moves:  # without a moving base the links add nothing to the joints
+            with suppress(RecordingError):  # the summary lists the file's problems
                 metrics = session.metrics()
                 summary.success = metrics.success
                 summary.terminations = metrics.body.terminations if metrics.body else None

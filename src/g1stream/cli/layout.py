@@ -1,4 +1,4 @@
-"""`g1stream layout`: layouts of viewers for session files."""
+"""`g1stream layout`: writes viewer layouts for session files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, Literal
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 
-#: By viewer: the file's name, and how to load it.
+#: File name and loading instructions of each viewer's layout.
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
     "lichtblick": ("g1stream-lichtblick.json", "Layouts menu > Import from file."),
@@ -24,10 +24,10 @@ _VIEWERS: Final = {
 
 @dataclass(frozen=True, kw_only=True)
 class Layout(Command):
-    """Writes a layout file, which shows a session's robot, ghost, worst joints, torques and timing.
+    """Writes a layout file that shows a session's robot, ghost, worst joints, torques and timing.
 
-    With a session, the six joints with the greatest error in it are plotted, and where a learned
-    policy played, its delays and actions. What `g1stream simulate` simulated is plotted, too.
+    Given a session, it plots the six joints with the largest tracking error, the delays and actions
+    of a learned policy if one played, and the results of `g1stream simulate` if there are any.
 
     Examples:
       g1stream layout lichtblick session.mcap
@@ -42,10 +42,12 @@ class Layout(Command):
         "The viewer: foxglove, lichtblick or plotjuggler.", "VIEWER"
     )
     session: Path | None = flag(
-        None, "A session file, to choose the joints by.", "SESSION", positional=True
+        None, "A session file from which the joints are chosen.", "SESSION", positional=True
     )
-    dir: Path = flag(Path(), "Write the layout into this directory.", "DIR", shown="here")
-    force: bool = flag(False, "Replace a file that exists already.")
+    dir: Path = flag(
+        Path(), "Directory to write the layout to.", "DIR", shown="the current directory"
+    )
+    force: bool = flag(False, "Replace an existing file.")
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""

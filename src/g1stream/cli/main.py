@@ -1,4 +1,4 @@
-"""`g1stream`: the list of commands, the choice of one, and errors as exit codes."""
+"""`g1stream`: lists and runs the commands, and maps errors to exit codes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class _Row(NamedTuple):
     """A command.
 
     Attributes:
-        home: module and class of it, imported only when it runs. The extra that it belongs to is
-            the folder below `extras`.
-        purpose: one sentence.
+        home: its module and class, imported only when it runs. The folder below `extras` is the
+            name of its extra.
+        purpose: one sentence for the list of commands.
     """
 
     home: str
@@ -44,7 +44,7 @@ COMMANDS: Final = {
         ),
         "stream": ("cli.stream:Stream", "Play a motion on the robot or simulator on DDS."),
         "sim": ("cli.sim:Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the robot's topics."),
-        "record": ("cli.record:Record", "Record what is on DDS into a session file (MCAP)."),
+        "record": ("cli.record:Record", "Record the DDS topics into a session file (MCAP)."),
         "replay": ("cli.stream:Replay", "Play a recorded session again."),
         "convert": (
             "cli.convert:Convert",
@@ -54,60 +54,60 @@ COMMANDS: Final = {
             "extras.library.library_cli:Library",
             "Check or simulate many motions at once.",
         ),
-        "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
+        "info": ("cli.info:Info", "Print a session's contents and its tracking error."),
         "attach": (
             "cli.attach:Attach",
             "Find when a motion was played in a session without a reference.",
         ),
         "report": (
             "extras.report.report_cli:Report",
-            "Write a page on sessions: tables, figures, events.",
+            "Write an HTML page about sessions: tables, figures, events.",
         ),
         "plot": ("cli.plot:Plot", "Plot joints of a session: PNG, SVG or PDF."),
         "compare": (
             "extras.report.compare_cli:Compare",
-            "Compare sessions of a motion: what got better or worse.",
+            "Compare sessions of the same motion: improvements and regressions.",
         ),
         "simulate": (
             "extras.fit.simulate_cli:Simulate",
-            "Simulate a session's commands: where robot and simulator differ.",
+            "Simulate a session's commands, and compare with the measured robot.",
         ),
         "fit": (
             "extras.fit.fit_cli:FitParameters",
-            "Fit friction, armature, delay and masses of a robot to sessions.",
+            "Identify friction, armature, delay and masses from sessions.",
         ),
         "render": (
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "repair": ("cli.repair:Repair", "Write the index of a session whose recorder was killed."),
-        "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
+        "repair": ("cli.repair:Repair", "Add the index to a session whose recorder was killed."),
+        "layout": ("cli.layout:Layout", "Write a viewer layout for sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
         "policy": (
             "extras.policy.policy_cli:Policy",
-            "Show what a learned policy takes and gives.",
+            "Show the inputs and outputs of a learned policy.",
         ),
         "physics": (
             "extras.physics.physics_cli:Physics",
-            "Say what a motion asks of a robot that is held, or that stands.",
+            "Compute the torques and forces that a motion needs.",
         ),
         "robot": ("cli.robot:Robot", "Show, release or restore the robot's own controller."),
         "doctor": (
             "cli.doctor:Doctor",
-            "Find what keeps robot and g1stream apart, or the loop late.",
+            "Diagnose the DDS connection to the robot and this machine's timing.",
         ),
-        "completion": ("cli.completion:Completion", "Print a script for a shell's completion."),
+        "completion": ("cli.completion:Completion", "Print a shell completion script."),
     }.items()
 }
 """The commands. To add one, add a row."""
 
-#: A file, a flag, a setting or the wire is not as it must be.
+#: Bad input: a file, a flag, a setting or the wire.
 EXIT_BAD_INPUT: Final = 2
 
 _HELP: Final = """\
 usage: g1stream [-h] [--version] COMMAND ...
 
-Play a reference motion on a Unitree G1 over DDS, and know how well it went.
+Play a reference motion on a Unitree G1 over DDS and measure the tracking error.
 
 commands:
 {commands}
@@ -119,19 +119,19 @@ options:
 `g1stream COMMAND --help` shows the flags of a command, examples and exit codes.
 
 exit codes:
-  0        as asked
+  0        success
   1        stopped, or a check failed
-  2        bad input; nothing was done
+  2        bad input, nothing was done
   128 + n  ended by signal n, such as 130 after Ctrl-C
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command."""
-    # Our matrices are small; a pool of BLAS threads would only cost every start 50 ms of CPU.
+    # The matrices are small; starting a pool of BLAS threads would only cost 50 ms of CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    for stream in (sys.stdout, sys.stderr):  # what the terminal's encoding lacks is escaped
+    for stream in (sys.stdout, sys.stderr):  # escape characters outside the terminal's encoding
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     output, errors = _Output(sys.stdout), _Output(sys.stderr)
@@ -156,15 +156,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Output:
-    """Standard output or error that may be closed meanwhile, as a terminal: the program goes on.
+    """Standard output or standard error. The program goes on if it is closed, as a terminal can be.
 
     Attributes:
-        stream: that is written to.
-        failed: whether something could not be written, but to a reader that reads no further.
+        stream: the wrapped stream.
+        failed: whether a write failed for another reason than a reader that stopped reading.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
-        # Without a descriptor, the next file that is opened would get it, and be printed into.
+        # Without a descriptor, the next file that is opened would get it, and the output, too.
         self.stream = stream or Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
         self.failed = self._closed = False
 
@@ -190,38 +190,38 @@ class _Output:
             self._closed, self.failed = True, not isinstance(error, BrokenPipeError)
             if self.failed and sys.stderr is not self:
                 print(f"error: the output cannot be written: {error.strerror}", file=sys.stderr)
-            # What is buffered must not fail again at exit.
+            # Buffered text must not fail again at exit.
             with suppress(OSError), Path(os.devnull).open("w") as nothing:
                 os.dup2(nothing.fileno(), self.stream.fileno())
 
 
 def _fault_of_cyclonedds() -> G1StreamError | None:
-    """Why all that needs DDS fails; None where cyclonedds can be imported."""
+    """The reason why DDS cannot be used; None if cyclonedds can be imported."""
     try:
         import_module("cyclonedds.core")
-    except Exception as error:  # its own, where it does not find its library
+    except Exception as error:  # cyclonedds raises its own if its C library is missing
         return ConfigError(
             f"cyclonedds, which DDS needs, cannot be imported: {error}.",
-            "Install it: pip install 'cyclonedds>=0.10.2,<12'; where it is installed, a "
-            "LD_LIBRARY_PATH or CYCLONEDDS_HOME, as ROS 2 sets them, may lead to another library.",
+            "Install it: pip install 'cyclonedds>=0.10.2,<12'. If it is installed, "
+            "LD_LIBRARY_PATH or CYCLONEDDS_HOME, which ROS 2 sets, may select another library.",
         )
     return None
 
 
 def _fault_of_memory(error: Exception) -> G1StreamError | None:
-    """Why a library or an array finds no memory; None where that is not the fault."""
+    """The error for a library or an array without memory; None if memory is not the cause."""
     cannot_load = isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError)
     if not (cannot_load or isinstance(error, MemoryError)):
         return None
     return ConfigError(
         f"A library cannot be loaded: {error}." if cannot_load else "There is too little memory.",
-        "Look at the memory that this process may use with `ulimit -v`; where that is unlimited, "
+        "Check this process's memory limit with `ulimit -v`. If it is unlimited, "
         "install g1stream into a virtual environment of its own.",
     )
 
 
 def _error_text(error: G1StreamError) -> str:
-    """Cause and remedy: wrapped on a terminal; elsewhere a line each, for scripts to search."""
+    """Cause and remedy: wrapped on a terminal, otherwise a line each so that scripts can search."""
     lines = [f"error: {error.cause}", f"       {error.remedy}"]
     if sys.stderr.isatty():
         wrapper = TextWrapper(
@@ -260,7 +260,7 @@ def load_command(name: str) -> type[Command]:
     """The class of a command.
 
     Raises:
-        ConfigError: the extra that it belongs to is not installed.
+        ConfigError: the command's extra is not installed.
     """
     module, _, kind = COMMANDS[name].home.partition(":")
     try:

@@ -1,4 +1,4 @@
-"""`g1stream motion`: the check of a motion file."""
+"""`g1stream motion`: checks a motion file."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Inspect", "render"]
 
-#: Feet that stand so near to height 0 are on the floor, m: what soles and floors give way.
+#: Feet within this height of 0 stand on the floor, m: compliance of soles and floors.
 _ON_FLOOR = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(SettingsCommand, MotionPartFlags):
-    """Prints what is in a motion file, what it asks of the robot, and what is beyond a limit.
+    """Prints a motion file's contents, the speeds that it needs, and every limit that it exceeds.
 
-    `stream` makes the same check. Warnings do not change the exit code. Joint targets between
-    frames that the stream would hold at a position limit are a warning: they are safe.
+    `stream` makes the same check. Warnings do not change the exit code. It is a warning if the
+    stream would clamp joint targets between frames to a position limit, because that is safe.
 
     Examples:
       g1stream motion dance.csv
@@ -76,7 +76,7 @@ class Inspect(SettingsCommand, MotionPartFlags):
 
 
 def _as_dict(report: MotionReport, evidence: Evidence | None) -> dict[str, Any]:
-    """The motion's values; under `file` what the file has."""
+    """The motion's values, with the file's under the key `file`."""
     more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
     return {**asdict(report), **more, "file": evidence and asdict(evidence)}
 
@@ -85,19 +85,19 @@ def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> 
     """The report as text.
 
     Args:
-        report: on the motion.
-        evidence: what its file has; None of joined motions.
+        report: the check of the motion.
+        evidence: the contents of its file; None for joined motions.
         max_tilt: pelvis tilt that ends a run, rad.
     """
     lines = [report.name]
-    if report.suspicion:  # first: it explains the figures below
+    if report.suspicion:  # first, because it explains the figures below
         lines.append(_line("problem", f"It looks as if {report.suspicion}."))
     lines += _evidence_lines(evidence) if evidence else []
     return "\n".join([*lines, *_motion_lines(report), *_result_lines(report, max_tilt)])
 
 
 def _evidence_lines(evidence: Evidence) -> list[str]:
-    """What a file has and what it was taken for."""
+    """The arrays in a file, and how each was interpreted."""
     lines = [_line(subject, text) for subject, text in evidence.used.items()]
     lines += [_line(subject, f"{text}, assumed") for subject, text in evidence.assumed.items()]
     for label, names in (("not used", evidence.not_used), ("not in the file", evidence.missing)):
@@ -108,7 +108,7 @@ def _evidence_lines(evidence: Evidence) -> list[str]:
 def _motion_lines(report: MotionReport) -> list[str]:
     root = report.root
     travel = (
-        f"travels {root.path:.2f} m along the ground, ending {root.displacement:.2f} m from its "
+        f"travels {root.path:.2f} m along the ground and ends {root.displacement:.2f} m from its "
         f"start; height {root.lowest:.2f} to {root.highest:.2f} m"
     )
     lines = [
@@ -128,17 +128,17 @@ def _motion_lines(report: MotionReport) -> list[str]:
 
 
 def _feet(floor: float | None) -> str:
-    """Where the feet stand."""
+    """The height of the feet above the floor."""
     if floor is None:
-        return "none stands, or the robot's soles are not known"
+        return "not standing, or the robot's soles are unknown"
     if abs(floor) < _ON_FLOOR:
         return f"stand on the floor, within {abs(floor) * 1e3:.1f} mm"
     side = "above" if floor > 0 else "below"
-    return f"stand {abs(floor) * 1e3:.0f} mm {side} the floor; --on-floor puts them on it"
+    return f"stand {abs(floor) * 1e3:.0f} mm {side} the floor; --on-floor corrects this"
 
 
 def _speed_lines(report: MotionReport) -> list[str]:
-    """How fast a motion moves the joints."""
+    """The highest joint speeds of a motion."""
     streamed, frames, step = report.streamed, report.fastest, report.largest_step
     fastest = max(streamed.speeds, key=lambda speed: speed.value)
     return [
@@ -160,7 +160,7 @@ def _speed_lines(report: MotionReport) -> list[str]:
 
 
 def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
-    """Each problem and each warning, and how many there are, with what it all looks like."""
+    """Each problem and each warning, then their number."""
     streamed = report.streamed
     n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
     problems = [
@@ -175,7 +175,7 @@ def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
     if (root := report.root).tilt > max_tilt:
         warnings.append(
             f"The pelvis tilts by {root.tilt:.2f} rad at {root.tilt_frame / report.fps:.2f} s; "
-            f"where it moves as in the motion, {max_tilt:g} rad end a run (safety.max_tilt)."
+            f"unless the pelvis is held, {max_tilt:g} rad end a run (safety.max_tilt)."
         )
     counts = {"problem": len(problems) + bool(report.suspicion), "warning": len(warnings)}
     found = ", ".join(counted(n, noun) for noun, n in counts.items() if n)

@@ -1,4 +1,4 @@
-"""The flags of the commands that take a motion: how it is read, and what is done to it."""
+"""Flags of the commands that take a motion: how to read it, and how to change it."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ MOTION: Final = (
     "Motion file (CSV, NPZ, pickle), session, ROS 2 bag, or the name of a bundled motion: demo."
 )
 """Help of a flag that names a motion."""
-MOTIONS: Final = f"{MOTION} Several are joined in their order."
+MOTIONS: Final = f"{MOTION} Several are played in the given order."
 """Help of an argument that names motions."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionFlags(Command):
-    """Flags of the commands that take a motion, or several.
+    """Flags of the commands that take one or more motions.
 
-    Each motion is mirrored, put on the floor and changed in speed; then they are joined, that is
-    repeated, and the pelvis fixed.
+    Each motion is mirrored, put on the floor and changed in speed. Then they are joined, the result
+    is repeated, and the pelvis is fixed.
     """
 
     fps: float | None = flag(
         None,
-        "Frames per second of the motion file, or to sample a session at.",
+        "Frame rate of the motion file, or sampling rate of a session.",
         "HZ",
-        shown="what the file says, or 30",
+        shown="the file's rate, or 30",
         gt=0,
     )
     joint_order: JointOrder | None = flag(
         None,
-        "Order of the joints in a motion file that does not name them.",
-        shown="told by bodies and joint limits",
+        "Joint order of a motion file without joint names.",
+        shown="detected from bodies and joint limits",
         advanced=True,
     )
-    mirror: bool = flag(False, "Mirror it: left is right.", advanced=True)
+    mirror: bool = flag(False, "Mirror the motion: swap left and right.", advanced=True)
     on_floor: bool = flag(
         False, "Raise or lower each motion until its feet stand on the floor.", advanced=True
     )
-    speed: float = flag(1.0, "How many times as fast as its frame rate says.", "FACTOR", gt=0)
+    speed: float = flag(1.0, "Speed as a multiple of the file's.", "FACTOR", gt=0)
     blend: float = flag(
         0.5,
         "Time from the end of a motion to the start of the next.",
@@ -61,33 +61,35 @@ class MotionFlags(Command):
     )
     repeat: int = flag(1, "How many times to play it, with blends.", "N", gt=0, advanced=True)
     root: Literal["follow", "fix"] = flag(
-        "follow", "The pelvis as in the motion, or fixed as in its first frame.", advanced=True
+        "follow",
+        "Move the pelvis as in the motion, or fix it as in the first frame.",
+        advanced=True,
     )
 
     def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
-        """Read one motion or more, and make one of them, for a robot.
+        """Read one or more motions, and join them, for a robot.
 
         Raises:
             ConfigError: a flag does not fit.
-            MotionError: a file is no motion, or what is asked for is not possible.
+            MotionError: a file is no motion, or the requested change is not possible.
             RecordingError: a session is damaged, or no motion was played in it.
-            RobotError: the robot's soles, which --on-floor needs, are not known.
+            RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
         return self.join([self.find(one, robot).open().motion() for one in motions], robot)
 
     def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
-        """A motion file, to be read as the flags say."""
+        """A motion file, with the flags that say how to read it."""
         from g1stream.motion.readers import find_motion
 
         return find_motion(motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
-        """What the flags make of motions that are read.
+        """Apply the flags to loaded motions, and join them.
 
         Raises:
             ConfigError: a flag does not fit.
-            MotionError: what is asked for is not possible.
-            RobotError: the robot's soles, which --on-floor needs, are not known.
+            MotionError: the requested change is not possible.
+            RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
         parts = [self._part(motion, robot) for motion in motions]
         joined = reduce(lambda one, other: one.then(other, self.blend), parts)
@@ -105,20 +107,20 @@ class MotionFlags(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionPartFlags(MotionFlags):
-    """Flags of the commands that take a motion and have no settings for the part that is played."""
+    """Flags of the commands that take a motion and have no settings for the played part."""
 
-    start: float = flag(0.0, "Where in the motion to start.", "SECONDS")
+    start: float = flag(0.0, "Start of the part, as a time in the motion.", "SECONDS")
     duration: float | None = flag(
-        None, "How much of the motion to take.", "SECONDS", shown="to its end", gt=0
+        None, "Length of the part.", "SECONDS", shown="to the end of the motion", gt=0
     )
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
-        """What the flags make of motions that are read; the part is that of the whole.
+        """Apply the flags to loaded motions, join them, and cut the part from the result.
 
         Raises:
             ConfigError: a flag does not fit.
-            MotionError: what is asked for is not possible.
-            RobotError: the robot's soles, which --on-floor needs, are not known.
+            MotionError: the requested change is not possible.
+            RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
         motion = super().join(motions, robot)
         if not self.start and self.duration is None:

@@ -1,4 +1,4 @@
-"""`g1stream plot`: joints of a session as a figure."""
+"""`g1stream plot`: plots joints of a session."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from g1stream.cli.session_flags import SessionFlags
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(SessionFlags):
-    """Without --joints and --what: the joints that move most, the error over time and the RMSE of
-    each joint. With them: a row for each joint, a column for each quantity.
+    """By default it plots the joints that move most, the error over time and the RMSE of each
+    joint. With --joints or --what it plots a row for each joint and a column for each quantity.
 
     Examples:
       g1stream plot session.mcap
@@ -21,18 +21,18 @@ class Plot(SessionFlags):
 
     Exit codes:
       0  written
-      2  bad input: not a session file, nothing to plot, no such joint
+      2  bad input: not a session file, nothing to plot, unknown joint
     """  # noqa: D205
 
     session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     joints: str | None = flag(
-        None, "Regular expression that matches names of joints.", "REGEX", shown="all"
+        None, "Regular expression that matches joint names.", "REGEX", shown="all"
     )
-    what: str | None = flag(None, "Quantities, with commas between: q, dq, tau, error.", "LIST")
+    what: str | None = flag(None, "Quantities, separated by commas: q, dq, tau, error.", "LIST")
     out: Path = flag(
         Path("plot.png"), "The file to write: .png, .svg or .pdf.", "OUT", aliases=("-o",)
     )
-    force: bool = flag(False, "Replace a file that is there.")
+    force: bool = flag(False, "Replace an existing file.")
 
     def run(self) -> int:
         """Write the figure, and return the exit code."""

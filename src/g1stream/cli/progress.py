@@ -1,4 +1,4 @@
-"""The live status of a run, on standard error where that is a terminal."""
+"""The live status of a run on standard error, if that is a terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
 
 _PERIOD_S: Final = 0.1
-#: Between lines of progress where standard error is no terminal.
+#: Time between progress lines if standard error is no terminal, s.
 _IN_PIPE_S: Final = 5.0
 _JOIN_TIMEOUT_S: Final = 1.0
 _BAR: Final = 20
@@ -36,7 +36,7 @@ _ERASE: Final = "\x1b[J"
 
 
 class _AboveStatus:
-    """Standard error while a status is on it: what is written first erases the status."""
+    """Standard error with a status on it. The first write erases the status."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -49,16 +49,17 @@ class _AboveStatus:
 
 
 class ProgressDisplay:
-    """A status of a few lines on standard error if that is a terminal, for the length of a `with`.
+    """Shows a status of a few lines on standard error, if that is a terminal, in a `with`.
 
-    A thread draws it, so that a slow or closed terminal does not hold up what it shows. Between two
-    drawings the cursor stays on an empty line above the status: what this process or a child
-    process prints on standard error meanwhile appears there and stays.
+    A thread draws it, so that a slow or closed terminal does not delay the work. Between two
+    drawings the cursor is on an empty line above the status. Text that this process or a child
+    process prints on standard error appears there and stays.
 
     Args:
-        status: returns what fraction is done, 0 to 1, or None, and lines of text; called ten times
-            a second.
-        in_pipe: s between lines with the status where standard error is no terminal; none if None.
+        status: returns the fraction that is done, 0 to 1 or None, and lines of text. It is called
+            ten times a second.
+        in_pipe: time between lines with the status if standard error is no terminal, s; None for
+            no lines.
     """
 
     def __init__(
@@ -108,9 +109,9 @@ class ProgressDisplay:
 
 @contextmanager
 def showing_progress() -> Iterator[Callable[[str, float], None]]:
-    """A status while something is read; the callback gets what is done and which fraction of it.
+    """Show a status while something is read; the callback takes a label and the fraction done.
 
-    Where standard error is no terminal, it is a line every few seconds.
+    If standard error is no terminal, it prints a line every few seconds.
     """
     done: tuple[float | None, str] = None, "reading"
 
@@ -123,7 +124,7 @@ def showing_progress() -> Iterator[Callable[[str, float], None]]:
 
 
 def _frame(console: Console, fraction: float | None, text: str) -> str:
-    """What draws a status below the cursor's line, and leaves the cursor where it was."""
+    """Control sequences that draw a status below the cursor's line, and restore the cursor."""
     from rich.progress_bar import ProgressBar
     from rich.table import Table
     from rich.text import Text
@@ -143,7 +144,7 @@ def _frame(console: Console, fraction: float | None, text: str) -> str:
 
 
 def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
-    """Phase, time and rate; lateness, and age of the state; the error by limb."""
+    """Phase, time, rate, lateness, age of the state, and the tracking error by limb."""
     report, phase, newest = loop.report, loop.state.phase, loop.newest
     start, end = loop.part
     length = motion.duration if end == inf else end - start
@@ -164,10 +165,10 @@ def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
 
 
 def _errors(phase: Phase, newest: Prepared) -> str:
-    """RMS of target - measured by limb; DAMP has no target."""
+    """RMS of target - measured, by limb. There is no target in DAMP."""
     if newest.measured is None or phase is Phase.DAMP:
         return ""
-    # The target at the time of the measurement: it is due a little later.
+    # The target at the time of the measurement, because the next command's time is later.
     ahead = (newest.due - newest.measured.received) / 1e9
     error = newest.target.q - ahead * newest.target.dq - newest.measured.q
     rms = {
@@ -179,7 +180,7 @@ def _errors(phase: Phase, newest: Prepared) -> str:
 
 
 class RecorderStatus:
-    """For how long a recorder has recorded, and the rate of each DDS topic in the last second."""
+    """How long a recorder has recorded, and the rate of each DDS topic in the last second."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
@@ -187,7 +188,7 @@ class RecorderStatus:
         self._rates = ""
 
     def __call__(self) -> tuple[None, str]:
-        """The status, as `ProgressDisplay` shows it."""
+        """The status in the form that `ProgressDisplay` shows."""
         report, seconds = self._recorder.report, time.monotonic() - self._counted_at
         if seconds >= 1.0:
             counts, before = self._recorder.received, self._counts
@@ -203,8 +204,8 @@ class RecorderStatus:
 
 
 def sim_status(report: SimReport) -> tuple[None, str]:
-    """How long was simulated, and what was published and accepted."""
-    refused = sum(list(report.refused.values()))  # it may grow meanwhile
+    """Simulated time, and counts of published states and accepted and refused commands."""
+    refused = sum(list(report.refused.values()))  # a copy, because it may grow meanwhile
     return None, (
         f"simulated {report.simulated:.1f} s, {report.behind:.2f} s skipped; "
         f"{counted(report.states, 'state')}, {counted(report.commands, 'command')}, "

@@ -1,4 +1,4 @@
-"""`g1stream record`: what is on DDS, into a session file."""
+"""`g1stream record`: records the DDS topics into a session file."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Record(LiveCommand):
-    """Records the topics of robot, simulator and streamer, whoever publishes them.
+    """Records the topics of the robot, the simulator and the streamer, whichever program publishes.
 
-    Only subscribes, so that it cannot disturb them; --ros-tf also publishes the robot for ROS 2.
+    It only subscribes, so it cannot disturb them. --ros-tf also publishes the robot for ROS 2.
     Ctrl-C ends the recording and closes the file.
 
     Examples:
@@ -45,11 +45,11 @@ class Record(LiveCommand):
     """
 
     file: Path = argument("The session file.", "MCAP")
-    force: bool = flag(False, "Replace a file that exists already.")
+    force: bool = flag(False, "Replace an existing file.")
     motion: str | None = flag(
         None,
-        "Motion that another program plays; it is found while it is played, for the live view. "
-        "Afterwards, `attach` adds it to the file.",
+        "Motion that another program plays; the live view detects when it is played. "
+        "Use `attach` afterwards to add it to the file.",
         "MOTION",
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
@@ -64,7 +64,7 @@ class Record(LiveCommand):
         if self.motion is not None and not self.live:
             raise ConfigError(
                 "The flag --motion has no effect without --live.",
-                "Add --live, or attach the motion to the file later: g1stream attach.",
+                "Add --live, or add the motion to the file later with g1stream attach.",
             )
         motion = load_motion(self.motion) if self.motion is not None else None
 
@@ -79,7 +79,7 @@ class Record(LiveCommand):
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 
             def on_recorder(recorder: Recorder) -> None:
-                lower_priority()  # not the receiver's, which has been started
+                lower_priority()  # not that of the receiver, which is already running
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))
 
             summary = record(

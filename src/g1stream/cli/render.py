@@ -1,4 +1,4 @@
-"""`g1stream render`: a video of a session."""
+"""`g1stream render`: renders a video of a session."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from g1stream.types import Camera
 
 @dataclass(frozen=True, kw_only=True)
 class Render(SessionFlags, QuietFlag):
-    """The ghost has the reference's joints on the measured pelvis; time, phase and RMS error of all
-    joints are written into each frame. Needs EGL or OSMesa, but no display and no GPU. The real
-    G1's meshes are used with the extra `meshes`; MP4 needs the extra `video`.
+    """The ghost has the reference's joints and the measured pelvis. Each frame shows time, phase
+    and RMS error of all joints. It needs EGL or OSMesa, but no display and no GPU. The extra
+    `meshes` adds the real G1's meshes; MP4 needs the extra `video`.
 
     Examples:
       g1stream render session.mcap session.mp4
@@ -41,8 +41,8 @@ class Render(SessionFlags, QuietFlag):
     duration: float | None = flag(None, "Length.", "SECONDS", shown="to the end", gt=0)
     fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
     size: str = flag("1280x720", "Width and height, pixels.", "WxH")
-    camera: Camera = flag("oblique", "Where the camera stands around the robot.", shown="oblique")
-    force: bool = flag(False, "Replace a file that is there.")
+    camera: Camera = flag("oblique", "Position of the camera around the robot.", shown="oblique")
+    force: bool = flag(False, "Replace an existing file.")
 
     def run(self) -> int:
         """Write the video, and return the exit code."""

@@ -1,4 +1,4 @@
-"""`g1stream repair`: the index of a session whose recorder was killed."""
+"""`g1stream repair`: adds the index to a session whose recorder was killed."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from g1stream.text import counted
 
 @dataclass(frozen=True, kw_only=True)
 class Repair(Command):
-    """Viewers such as Rerun show nothing of a file without an index. g1stream itself needs none.
+    """Viewers such as Rerun show nothing from a file without an index. g1stream needs no index.
 
-    The file is replaced when its copy with an index is complete; all whole messages stay, byte for
-    byte. A file that has its index is left as it is.
+    The file is replaced when its copy with an index is complete. All whole messages stay unchanged,
+    byte for byte. A file that has an index is not changed.
 
     Examples:
       g1stream repair session.mcap
 
     Exit codes:
-      0  all files of the session have their index
+      0  all files of the session have an index
       2  bad input: not a session, damaged, or still being recorded
     """
 

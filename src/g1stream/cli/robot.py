@@ -1,4 +1,4 @@
-"""`g1stream robot`: the controller that runs on the robot itself."""
+"""`g1stream robot`: shows, releases or restores the robot's own controller."""
 
 from __future__ import annotations
 
@@ -21,31 +21,32 @@ Action = Literal["status", "release", "restore"]
 class Robot(SettingsCommand):
     """Talks to the motion service (MotionSwitcher), which runs the robot's own controller.
 
-    That controller publishes rt/lowcmd too, so that it has to be released before a motion is
-    streamed. status: form and active mode. release: ends the mode; the robot goes limp, so support
-    it first, and prints how to restore the mode. restore: starts MODE.
+    That controller also publishes rt/lowcmd, so it must be released before a motion is streamed.
 
-    Anything but loopback has to be confirmed: on the terminal, or by --yes INTERFACE.
+    `status` prints form and active mode. `release` ends the mode and prints how to restore it.
+    The robot goes limp, so support it first. `restore` starts MODE.
+
+    On any interface but loopback you must confirm, on the terminal or with --yes INTERFACE.
 
     Examples:
       g1stream robot status --config robot --interface eth0
       g1stream robot release --config robot --interface eth0
       g1stream robot restore ai --config robot --interface eth0
-      g1stream sim --onboard ai             # something to try it on
+      g1stream sim --onboard ai             # a simulated robot to try it on
 
     Exit codes:
-      0  as asked
-      2  bad input, not confirmed, no motion service, or it refuses
+      0  success
+      2  bad input, not confirmed, no motion service, or the service refused
     """
 
     action: Action = argument("What to do.", "ACTION")
     mode: str | None = flag(None, "Mode to restore, such as ai.", "MODE", positional=True)
-    timeout: float = flag(5.0, "Longest wait for an answer, discovery included.", "SECONDS", gt=0)
+    timeout: float = flag(5.0, "Longest wait for an answer, including discovery.", "SECONDS", gt=0)
     yes: str | None = yes_flag()
     json: bool = flag(False, "Print the status as JSON on standard output.")
 
     def run(self) -> int:
-        """Do it, and return the exit code."""
+        """Do the action, and return the exit code."""
         config = self.resolve()
         self._check_flags()
         with handled_by(ConsoleHandler()):
@@ -60,9 +61,9 @@ class Robot(SettingsCommand):
             "--yes": self.yes and self.action == "status",
         }
         for name in filter(unused.get, unused):
-            raise ConfigError(f"{name} has no effect on robot {self.action}.", "Leave it out.")
+            raise ConfigError(f"{name} has no effect on robot {self.action}.", "Remove it.")
         if self.action == "restore" and not self.mode:
-            raise ConfigError("The mode to restore is missing.", "Name it, such as ai.")
+            raise ConfigError("The mode to restore is missing.", "Give one, such as ai.")
 
     def _status(self, config: Config) -> int:
         from g1stream.app.motion_service import onboard_status
@@ -80,12 +81,12 @@ class Robot(SettingsCommand):
 
         if not is_local_only(config.dds.interface):
             what = (
-                "goes limp" if self.action == "release" else "is taken over by its own controller"
+                "goes limp" if self.action == "release" else "will be moved by its own controller"
             )
             print(f"WARNING: the robot {what}. Support it first.", file=sys.stderr)
             if not confirmed(network_name(config.dds.interface), self.yes):
                 raise SafetyError(
-                    "It was not confirmed; nothing was done.",
+                    "The action was not confirmed; nothing was done.",
                     "Run it again, and type the name of the interface.",
                 )
         if self.mode:

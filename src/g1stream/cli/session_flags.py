@@ -1,4 +1,4 @@
-"""The flag of the commands that show sessions: the motion that was played in them."""
+"""The flag --motion of commands that show sessions."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ __all__ = ["SessionFlags"]
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFlags(Command):
-    """The flag of a command that shows sessions."""
+    """The flag --motion of a command that shows sessions."""
 
     motion: str | None = flag(
         None,
-        "Motion that was played, for a session without a reference, such as one that another "
-        "program recorded; `attach` says how it is found.",
+        "Motion that was played in a session without a reference, such as one that another "
+        "program recorded. `attach --help` says how it is found.",
         "MOTION",
     )
 
     def open(self, path: Path) -> Session:
-        """Open a session, with the motion attached if one is given and it has no reference.
+        """Open a session. If it has no reference, attach the motion of --motion.
 
         Raises:
             MotionError: the motion cannot be read.
-            RecordingError: it is no session, or the motion was not played in it.
+            RecordingError: the file is no session, or the motion was not played in it.
         """
         from g1stream.app.session import open_session
         from g1stream.motion.readers import load_motion

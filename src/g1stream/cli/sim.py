@@ -1,4 +1,4 @@
-"""`g1stream sim`: the MuJoCo bridge."""
+"""`g1stream sim`: runs the MuJoCo bridge."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _SUPPORT = {
 class Sim(LiveCommand):
     """Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; subscribes to rt/lowcmd.
 
-    Ctrl-C ends it. A robot that has fallen stays on the floor, and the next stream refuses it as
-    tilted: start the simulation again.
+    Ctrl-C ends it. A robot that has fallen stays on the floor, and the next stream refuses it
+    because it is tilted. Start the simulation again.
 
     Examples:
       g1stream sim
@@ -45,7 +45,7 @@ class Sim(LiveCommand):
       g1stream sim --onboard ai --support follow
 
     Exit codes:
-      0  ended as asked, Ctrl-C included
+      0  success, also after Ctrl-C
       2  bad input
     """
 
@@ -64,7 +64,7 @@ class Sim(LiveCommand):
             print_note(f"Simulating a G1, {support}. Ctrl-C ends it.")
 
         with ExitStack() as stack:
-            stack.enter_context(self.serving(config))  # Ctrl-C ends a server that does not start
+            stack.enter_context(self.serving(config))  # Ctrl-C also ends a server that is starting
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler()))
 
@@ -87,11 +87,11 @@ def render(report: SimReport) -> str:
         f"simulated {report.simulated:.1f} s in {report.elapsed:.1f} s",
         f"  states    {report.states} published",
         f"  commands  {report.commands} accepted, {sum(report.refused.values())} refused "
-        "(of those that were the newest at a state)",
+        "(counting the newest command at each state)",
     ]
     lines += [f"            {count} x {why}" for why, count in report.refused.items()]
     if report.timeouts:
-        lines.append(f"  timeouts  {report.timeouts}: no LowCmd, so that the motors only damped")
+        lines.append(f"  timeouts  {report.timeouts}: without LowCmd the motors only damped")
     if report.behind:
         lines.append(f"  skipped   {report.behind:.2f} s, because this machine is too slow")
     return "\n".join(lines)

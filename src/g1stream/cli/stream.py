@@ -1,4 +1,4 @@
-"""`g1stream stream` and `g1stream replay`: play a motion, or a recorded session."""
+"""`g1stream stream` and `g1stream replay`: play a motion or a recorded session."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-#: Of the report before the question.
+#: Text width of the arming report, in characters.
 _WIDTH: Final = 98
 
 
 def arming(arm: bool, yes: str | None) -> Callable[[ArmingReport], bool] | None:
-    """What `stream` calls to be armed; None without --arm."""
+    """The `arm` callback of `stream`: it prints the report and asks. None without --arm."""
     if not arm:
         if yes is not None:
             raise ConfigError("The flag --yes has no effect without --arm.", "Add --arm.")
@@ -56,7 +56,7 @@ def arming(arm: bool, yes: str | None) -> Callable[[ArmingReport], bool] | None:
 
 
 def render_arming(report: ArmingReport) -> str:
-    """What is about to happen, as text."""
+    """The arming report as text."""
     worst = report.furthest
     limits = ", ".join(f"{name} = {value}" for name, value in report.limits.items())
     lines = [
@@ -69,7 +69,7 @@ def render_arming(report: ArmingReport) -> str:
         lines.append(f"  {limb.limb:<10} {limb.distance:+.2f} rad  {limb.joint}, kp {kp}, kd {kd}")
     service = report.motion_service
     said = f"{service.about}: {service.cause}"
-    if service.remedy:  # a warning stands right above the question
+    if service.remedy:  # directly above the question
         said = textwrap.fill(f"WARNING: {service.cause} {service.remedy}", _WIDTH)
     lines += [
         f"  furthest   {worst.distance:+.2f} rad  {worst.joint}",
@@ -83,11 +83,11 @@ def render_arming(report: ArmingReport) -> str:
 
 @contextmanager
 def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
-    """Print events, and yield a function to call with a loop, and its config, before it runs.
+    """Print events, and yield a function that prepares a loop. Call it before the loop runs.
 
-    It announces where the loop publishes, lets signals stop it and displays its progress. A signal
-    that comes before there is a loop stops it in WAIT; its handler stays until the recording is
-    complete.
+    It announces the DDS domain, lets signals stop the loop and displays its progress. A signal that
+    comes before there is a loop stops the loop in WAIT. The signal handlers stay until the
+    recording is complete.
     """
     loops: list[StreamLoop] = []
     early: list[str] = []
@@ -116,39 +116,38 @@ class PlayCommand(LiveCommand):
     """Flags of the commands that play something on a robot."""
 
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")
-    force: bool = flag(False, "Replace a recording that exists already.")
+    force: bool = flag(False, "Replace an existing recording.")
     gains: Path | None = flag(
         None,
-        "File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's.",
+        "File with tables [kp] and [kd]: joint name or pattern = gain. Overrides the config.",
         "TOML",
         shown="those of Unitree's example",
         advanced=True,
     )
     arm: bool = flag(
         False,
-        "Show what is about to happen, and ask before anything is sent; needed on anything but "
-        "loopback.",
+        "Show what will be sent to which robot, and ask first. Required on anything but loopback.",
     )
     yes: str | None = yes_flag(advanced=True)
     scale_time: bool = flag(
         False,
-        "Play a motion that is too fast for the joints slower, as a whole, until it fits.",
+        "Slow down the whole motion until all joints keep their speed limits.",
         advanced=True,
     )
     clamp: bool = flag(
         False,
-        "Play a motion beyond the joint limits, its targets held at positions and speeds.",
+        "Play a motion that exceeds joint limits, with targets clamped to positions and speeds.",
         advanced=True,
     )
     anyway: bool = flag(
         False,
-        "Play a motion beyond the joint limits at its own speeds; on the loopback interface only.",
+        "Play a motion that exceeds joint limits at its own speeds (loopback interface only).",
         advanced=True,
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it."""
+        """The settings from the config file, if any, overridden by the flags."""
         if self.record is None:
             for_recording = [
                 name
@@ -159,19 +158,19 @@ class PlayCommand(LiveCommand):
                 flag = flag_name(key.rpartition(".")[2])
                 raise ConfigError(
                     f"The flag {flag} has no effect without --record.",
-                    "Add --record FILE, or leave it out.",
+                    "Add --record FILE, or remove it.",
                 )
         config = super().resolve()
         for key in ("stream.stand", "stream.rehearse"):
             if key in self.overrides() and not config.stream.policy:
                 raise ConfigError(
                     f"The flag {flag_name(key.rpartition('.')[2])} has no effect without --policy.",
-                    "Add --policy FILE, or leave it out.",
+                    "Add --policy FILE, or remove it.",
                 )
         return config
 
     def overrides(self) -> dict[str, Any]:
-        """The flags that were given, and the gains file's tables."""
+        """The flags that were given, and the tables of the gains file."""
         over = super().overrides()
         if self.gains:
             from g1stream.control.gains import read_gains
@@ -180,15 +179,15 @@ class PlayCommand(LiveCommand):
         asked = [n for n in ("scale_time", "clamp", "anyway") if getattr(self, n)]
         if len(asked) > 1:
             raise ConfigError(
-                f"Only one of {' and '.join(map(flag_name, asked))} can be done.",
-                "Leave out the others.",
+                f"The flags {' and '.join(map(flag_name, asked))} cannot be combined.",
+                "Give only one of them.",
             )
         if asked:
             over["stream.beyond_limits"] = asked[0].replace("_", "-")
         return over
 
     def report(self, summary: Summary) -> int:
-        """Print how it went, and return the exit code."""
+        """Print the summary, and return the exit code."""
         print_summary(summary, as_json=self.json)
         return exit_code(summary)
 
@@ -197,9 +196,9 @@ class PlayCommand(LiveCommand):
 class Stream(PlayCommand, MotionFlags):
     """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
 
-    Ctrl-C damps and ends. With --support feet, where the robot squats before it is damped, and with
-    --policy, where it stands, a second Ctrl-C damps at once. docs/feet.md and docs/policy.md say
-    how it gets onto its feet in each simulator.
+    Ctrl-C damps the robot and ends. With --support feet the robot squats first, and with --policy
+    it stands first; a second Ctrl-C damps at once. docs/feet.md and docs/policy.md say how to put
+    it on its feet in each simulator.
 
     Examples:
       g1stream stream demo
@@ -241,9 +240,9 @@ class Stream(PlayCommand, MotionFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class Replay(PlayCommand):
-    """Plays the recorded reference as `g1stream stream` plays a motion: from the measured pose.
+    """Plays the recorded reference like a motion, starting from the measured pose.
 
-    Limits and gains are those of this call. Ctrl-C damps and ends.
+    Limits and gains come from this call, not from the recording. Ctrl-C damps the robot and ends.
 
     Examples:
       g1stream replay dance.mcap
@@ -257,7 +256,7 @@ class Replay(PlayCommand):
     """
 
     file: Path = argument("The session file, or one of its parts.", "MCAP")
-    speed: float = flag(1.0, "How many times as fast as it was recorded.", "FACTOR", gt=0)
+    speed: float = flag(1.0, "Speed as a multiple of the recorded speed.", "FACTOR", gt=0)
 
     def run(self) -> int:
         """Play, and return the exit code."""

@@ -1,1 +1,1 @@
-"""What g1stream does with packages that not everybody needs; the core imports none of it."""
+"""Optional features with extra dependencies. The core never imports them."""

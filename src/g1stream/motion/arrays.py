@@ -1,7 +1,7 @@
-"""Motion files of named arrays: NPZ, NPY, pickles, what PyTorch saves, and the columns of a CSV.
+"""Motion files of named arrays: NPZ, NPY, pickles, PyTorch files, and the columns of a CSV.
 
-What the arrays are is told by their names and shapes. Where a file says nothing, evidence decides,
-and what leaves a choice is asked for. All formats have the same checks.
+The names and shapes of arrays tell what they contain. Where a file is not explicit, evidence
+decides; if it is ambiguous, an error asks for a flag. All formats have the same checks.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ __all__ = [
     "read_arrays",
 ]
 
-# The names that arrays have in the files of those who write them, in lower case and without `_w`,
-# which says that they are in the world frame.
-#: Joint angles, maybe with poses, and whether w is first in the quaternions of these by convention.
+# Names of arrays in the files of other programs, in lower case and without the suffix `_w`, which
+# means the world frame.
+#: Joint angles, maybe with poses; True if w is conventionally first in the quaternions of these.
 _ANGLES: Final = {
     **dict.fromkeys(("joint_pos", "dof_pos", "dof_positions", "dof", "qpos"), True),
     **dict.fromkeys(("joint_angles", "q"), True),
@@ -67,7 +67,7 @@ _POSITIONS: Final = (
     *("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation"),
     *("root_position", "base_position"),
 )
-#: Orientations of the pelvis and of all bodies, and whether w is first in them by convention.
+#: Orientations of the pelvis and of all bodies; True if w is conventionally first.
 _QUATS: Final = {
     "root_quat_wxyz": True,
     "root_quat_xyzw": False,
@@ -78,43 +78,45 @@ _QUATS: Final = {
 }
 _BODY_POSITIONS: Final = ("body_pos", "body_positions", "rigid_body_pos")
 _BODY_QUATS: Final = {"body_quat": True, "body_rotations": True, "rigid_body_rot": False}
-#: In the names of arrays that known layouts have and that add nothing to the motion: no warning.
+#: Parts of array names in known layouts that the motion does not need: no warning.
 _NOT_MISSED: Final = ("_vel", "contact", "pose_aa", "smpl", "body_pos", "body_quat")
-#: Arrays of the motions of human body models.
+#: Arrays in motions of human body models.
 _HUMAN: Final = {"poses", "pose_aa", "betas"}
-#: Numbers of a pose before the angles, or of an object behind them.
+#: Numbers of a pose, before the angles, or of an object, behind them.
 _POSE: Final = 7
 _WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
-#: Joints that a motion may lack, as a retargeting tool or a kind of G1 with legs has none.
+#: Joints that a motion may lack, because a retargeting tool or a kind of G1 lacks them.
 _MAY_LACK: Final = {*_WRISTS, *(JOINT_NAMES[i] for i in JOINT_SETS[1].absent)}
-_READ: Final = "docs/formats.md lists the names and shapes of the arrays that are read."
-#: Numbers in an array that is converted to 64 bits.
+_READ: Final = "docs/formats.md lists the supported names and shapes of arrays."
+#: Most numbers in an array that is converted to 64 bits.
 _NUMBERS: Final = UNPACKED // 8
-#: A pelvis that leans by more than the first on average, by less than the second if w is at the
-#: other end, is taken to have it there, rad; but not at the heights on the floor, m.
+#: If the pelvis leans by more than the first angle on average, and by less than the second with w
+#: at the other end of the quaternion, w is taken from the other end, rad. This does not apply at
+#: heights of a robot that lies on the floor, m.
 _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
 _ON_FLOOR: Final = (0.03, 0.4)
-#: Quaternions are unit as far as evidence goes.
+#: Norms within this of 1 count as unit quaternions.
 _UNIT: Final = 0.02
-#: Frames that bodies, and that limits and norms, are compared in.
+#: Numbers of frames that are used to compare bodies, and limits and norms.
 _FRAMES: Final = 50
 _MANY_FRAMES: Final = 5000
-#: An order is told by the bodies if it puts the links this near to them, mm, and at most at this
-#: share of the distance in the other order.
+#: Bodies decide the joint order if its links are within this distance of them, mm, and within
+#: this fraction of the distance in the other order.
 _NEAR: Final = 50.0
 _NEARER: Final = 0.5
-#: It is told by the limits if the other has more than this share of the angles beyond them, and
-#: more than so many times as many.
+#: Limits decide the joint order if the other order has more than this fraction of the angles
+#: beyond them, and more than this multiple.
 _BEYOND: Final = 1e-2
 _TIMES: Final = 10.0
-#: An angle counts as beyond a limit by more than this, rad; retargeting tools differ by as much.
+#: An angle counts as beyond a limit if it is so far beyond it, rad; retargeting tools exceed
+#: limits by as much.
 _EXCESS: Final = 0.02
-#: A frame rate in the name of a file.
+#: A frame rate in a file name.
 _RATE: Final = re.compile(r"(\d+(?:\.\d+)?)[ _-]?(?:hz|fps)", re.IGNORECASE)
 
 
-#: Of a directory of SONIC: the arrays, and how many numbers a body has in each.
+#: Arrays in a directory of SONIC, and their columns per body.
 _SONIC_TABLES: Final = {
     "joint_pos": 0,
     "joint_vel": 0,
@@ -130,7 +132,7 @@ _SONIC_BODIES: Final = 14
 
 
 class _Root(NamedTuple):
-    """The pelvis's pose, (T, 3) m and (T, 4), and where it is from."""
+    """The pelvis's pose, (T, 3) m and (T, 4), and the names of its arrays."""
 
     pos: Floats
     quat_wxyz: Floats
@@ -138,11 +140,11 @@ class _Root(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """The columns of the array with the angles: its name, (T, n) rad, (T, 7) or None, and others.
+    """The array with the angles: its name, (T, n) rad, (T, 7) or None, and its other columns.
 
     Attributes:
         quat_first: the quaternion is before the position in a pose.
-        rest: how many columns are behind the angles.
+        rest: number of columns behind the angles.
     """
 
     name: str
@@ -153,11 +155,11 @@ class _Columns(NamedTuple):
 
 
 class _Order(NamedTuple):
-    """The joint in each column, and how that is known.
+    """The joint in each column, and the evidence for it.
 
     Attributes:
-        by_limits: only joint limits say that it is not motor order.
-        assumed: nothing says it.
+        by_limits: only joint limits show that it is not motor order.
+        assumed: there is no evidence.
     """
 
     columns: tuple[str, ...]
@@ -170,35 +172,34 @@ class ArrayFile:
     """A motion file of named arrays.
 
     Args:
-        file: where they are from.
-        kind: of file, for messages.
-        content: the arrays by name, or those of each motion by its name.
-        first_line: of a table the line of frame 0.
+        file: the source of the arrays.
+        kind: kind of file, for messages.
+        content: the arrays by name, or a dict of them by motion.
+        first_line: line of frame 0 in a table.
 
     Raises:
-        MotionError: it has no such motion. Anything else wrong in it is an error only when
-            `evidence` or `motion` is asked for.
+        MotionError: the file has no such motion. Other errors are only raised by `evidence` and
+            `motion`.
     """
 
     def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int = 0) -> None:
         self._file, self._kind, self._first_line = file, kind, first_line
         self._arrays = self._of_one_motion(content, file.member)
         self._by_name = {_plain(name): name for name in reversed(self._arrays)}
-        self._read: dict[str, None] = {}  # the names of those that were looked at, in order
+        self._read: dict[str, None] = {}  # names of the arrays that were used, in order
 
     def motion(self) -> Motion:
         """The motion in the file, its joints in motor order.
 
         Raises:
-            MotionError: an array is missing or has a wrong shape, or the order of the joints cannot
-                be told.
+            MotionError: an array is missing or has a wrong shape, or the joint order is ambiguous.
         """
         order, root = self._order, self._root
         if lacking := [name for name in self._absent if name not in _MAY_LACK]:
-            unused = f"; not used are {listed(self._not_used)}" * bool(self._not_used)
+            unused = f"; these are not used: {listed(self._not_used)}" * bool(self._not_used)
             raise self._error(
                 f"it lacks the joints {', '.join(lacking)}{unused}",
-                "Give a motion of all joints; only wrists, waist roll and pitch may be left out.",
+                "Give a motion of all joints; only wrists, waist roll and pitch may be missing.",
             )
         warned = tuple(f"{self._file.path.name}: {text}" for text in self._warnings())
         motion = Motion.from_arrays(
@@ -212,7 +213,7 @@ class ArrayFile:
 
     @cached_property
     def evidence(self) -> Evidence:
-        """What the arrays were taken for, and why.
+        """The use of each array, and the reason.
 
         Raises:
             MotionError: as `motion`.
@@ -226,7 +227,7 @@ class ArrayFile:
         else:
             assumed["pelvis"] = "upright at the origin"
         if self._file.fps is None and self._fps:
-            used["frame rate"] = f"{self._fps:g} fps, as the file says"
+            used["frame rate"] = f"{self._fps:g} fps, from the file"
         elif self._file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
         kind = self._kind
@@ -235,7 +236,7 @@ class ArrayFile:
         return Evidence({"file": kind, **used}, assumed, self._not_used, self._absent)
 
     def _warnings(self) -> Iterable[str]:
-        """What is not used, filled in or corrected, a sentence each."""
+        """What was not used, filled in or corrected, a sentence each."""
         robot, absent = self._file.robot, self._absent
         missing = [JOINT_NAMES.index(name) for name in absent]
         if absent and (robot is None or robot.present[missing].all()):
@@ -244,20 +245,20 @@ class ArrayFile:
             yield f"not used: {listed(missed)}."
         if self._order.by_limits:
             yield (
-                f"only joint limits tell the order of the joints; {self._order.why}. Give "
-                "--joint-order if it is another one."
+                f"the joint order was detected only by joint limits; {self._order.why}. Give "
+                "--joint-order if the order is another."
             )
         hint = _RATE.search(self._file.member or self._file.path.stem)
         if hint and not (self._fps or self._file.fps) and float(hint[1]) != DEFAULT_FPS:
             yield (
-                f"{DEFAULT_FPS:g} fps is assumed, as the file does not say its frame rate, but its "
-                f"name has {hint[0]}. Give --fps {hint[1]} if that is the rate."
+                f"{DEFAULT_FPS:g} fps is assumed, because the file has no frame rate; its name has "
+                f"{hint[0]}. Give --fps {hint[1]} if that is the rate."
             )
         if self._root:
             yield from self._norm_warnings(np.linalg.norm(self._root.quat_wxyz, axis=1))
 
     def _norm_warnings(self, norms: Floats) -> Iterable[str]:
-        """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
+        """A warning about quaternion norms (T,) that are not 1; an error for a norm of 0."""
         worst = int(np.argmax(np.abs(norms - 1.0)))
         where = f"frame {worst}"
         if self._first_line:
@@ -275,7 +276,7 @@ class ArrayFile:
 
     @cached_property
     def _not_used(self) -> tuple[str, ...]:
-        """Joints, columns and arrays, when all others have been looked at."""
+        """Unused joints, columns and arrays, after all arrays were read."""
         columns, _ = self._columns, (self._root, self._fps)
         last = f"the last {columns.rest} columns of {columns.name}"
         return (
@@ -285,12 +286,12 @@ class ArrayFile:
         )
 
     def _is_missed(self, name: str) -> bool:
-        """Whether what is not used may say something of the motion: a row a frame, or a number."""
-        if name not in self._arrays:  # a joint, or columns
+        """Whether an unused array may describe the motion: a row per frame, or one number."""
+        if name not in self._arrays:  # it is the name of a joint or of columns
             return True
         try:
             values = np.asarray(self._arrays[name])
-        except ValueError:  # rows of other lengths
+        except ValueError:  # its rows differ in length
             return False
         says = values.size == 1 or values.shape[:1] == (len(self._columns.angles),)
         known = any(word in _plain(name) for word in _NOT_MISSED)
@@ -298,23 +299,23 @@ class ArrayFile:
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
-        """The joints that the file names, as g1stream names them."""
+        """The joint names in the file, as g1stream names them."""
         key = self._first(_NAMES)
         names = tuple(f"{one.removesuffix('_joint')}_joint" for one in self._texts(key))
         if twice := [name for name, n in Counter(names).items() if n > 1]:
-            raise self._error(f"{key} has {listed(twice)} twice", "Name each joint once.")
+            raise self._error(f"{key} has {listed(twice)} twice", "Give each joint once.")
         return names
 
     @cached_property
     def _columns(self) -> _Columns:
-        """Which columns of the array with the angles are what.
+        """Find joint angles, poses and other columns in the array with the angles.
 
-        A pose is before the angles where there are 7 more columns, and poses of objects behind them
-        where all of these have unit quaternions.
+        If there are 7 more columns, a pose is before the angles. Poses of objects are behind the
+        angles if all of them have unit quaternions.
         """
         name = self._first(_ANGLES)
         if not name:
-            human = " It is the motion of a human body model." * bool(_HUMAN & self._arrays.keys())
+            human = " It is a motion of a human body model." * bool(_HUMAN & self._arrays.keys())
             raise self._error(
                 f"no array has joint angles; it has {listed(sorted(self._arrays))}.{human}", _READ
             )
@@ -342,11 +343,11 @@ class ArrayFile:
 
     @cached_property
     def _order(self) -> _Order:
-        """By the names in the file, as asked for, or by evidence.
+        """The joint order by the names in the file, by the flag, or by evidence.
 
-        Positions of bodies decide: forward kinematics in the right order puts the links where the
-        bodies are. Otherwise the joint limits do, which the wrong order passes. A table without a
-        header is in motor order where they leave a choice.
+        If the file has body positions, forward kinematics in the right order puts the links at the
+        bodies. Otherwise the order is the one with fewer angles beyond the joint limits. If both
+        orders fit, a table without a header is in motor order.
         """
         if self._names:
             return _Order(self._names, "named by the file")
@@ -357,7 +358,7 @@ class ArrayFile:
             for order in get_args(JointOrder)
         }
         if asked:
-            return _Order(names[asked], f"{asked}{without}, as asked for")
+            return _Order(names[asked], f"{asked}{without}, as requested")
         root, bodies = self._root, self._first(_BODY_POSITIONS)
         if root and bodies:
             few = _some(len(angles), _FRAMES)
@@ -368,11 +369,11 @@ class ArrayFile:
                 for order, joints in names.items()
             }
             best, other = sorted(names, key=lambda order: near[order])
-            # The pelvis alone is as near in both.
+            # The pelvis alone is equally near in both orders.
             if near[best][0] < min(_NEAR, _NEARER * near[other][0]):
                 return _Order(
                     names[best],
-                    f"{best}{without}: the bodies are {near[best][0]:.1f} mm from the links of "
+                    f"{best}{without}: bodies are {near[best][0]:.1f} mm from the links of "
                     f"{near[best][1]}, in {other} order {near[other][0]:.0f} mm",
                 )
         few = _some(len(angles), _MANY_FRAMES)
@@ -392,14 +393,14 @@ class ArrayFile:
             return _Order(names["motor"], f"motor{without}", assumed=True)
         shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
         raise self._error(
-            f"the order of the joints cannot be told: {shares} are beyond the joint limits",
-            "Say it: --joint-order motor (as LowCmd, the URDF and MuJoCo) or --joint-order "
+            f"the joint order is ambiguous: {shares} are beyond the joint limits",
+            "Give --joint-order motor (as in LowCmd, the URDF and MuJoCo) or --joint-order "
             "isaaclab.",
         )
 
     @cached_property
     def _root(self) -> _Root | None:
-        """The pelvis's pose, from arrays of its own, before the angles, or from the first body."""
+        """The pelvis's pose: its own arrays, columns before the angles, or the first body."""
         columns = self._columns
         position, rotation = self._first(_POSITIONS), self._first(_QUATS)
         if position and rotation:
@@ -411,7 +412,7 @@ class ArrayFile:
             quat, pos = parts if columns.quat_first else reversed(parts)
             where = "the columns before the joints"
             if columns.quat_first:
-                where += ", quaternion first, as those columns have norm 1"
+                where += ", quaternion first because those columns have norm 1"
             return self._pose(pos, quat, where, columns.name, _ANGLES)
         position, rotation = self._first(_BODY_POSITIONS), self._first(_BODY_QUATS)
         if position and rotation:
@@ -419,7 +420,7 @@ class ArrayFile:
             body = names.index("pelvis") if "pelvis" in names else 0
             pos, quat = self._bodies(position, 3), self._bodies(rotation, 4)
             if body >= min(pos.shape[1], quat.shape[1]):
-                raise self._error(f"{position} has no body {body}", "Name as many as there are.")
+                raise self._error(f"{position} has no body {body}", "Give as many names as bodies.")
             where = f"body {body} of {position}, {rotation}"
             return self._pose(pos[:, body], quat[:, body], where, rotation, _BODY_QUATS)
         return None
@@ -432,10 +433,10 @@ class ArrayFile:
         name: str,
         w_first: dict[str, bool],
     ) -> _Root:
-        """The pose of these arrays, its quaternions with w first.
+        """The pose in two arrays, with w first in its quaternions.
 
-        w is where the name of the array says or where it usually is in such an array, unless the
-        pelvis then lies and in the other order stands.
+        The place of w follows from the array's name or from the convention. It is the other end if
+        the pelvis would lie with the usual order and stands with the other one.
         """
         for what, values, width in (("position", pos, 3), ("quaternion", quat, 4)):
             if values.shape != (len(self._columns.angles), width):
@@ -454,11 +455,11 @@ class ArrayFile:
             and _lean(orders[usual][few]) > _LYING
             and _lean(orders[other][few]) < _UPRIGHT
         ):
-            usual, why = other, ", as the pelvis would lie otherwise"
+            usual, why = other, ", because the pelvis would lie otherwise"
         return _Root(pos, orders[usual], f"{source}, {usual}{why}")
 
     def _bodies(self, name: str, width: int) -> NDArray[Any]:
-        """(T, B, width) as in the file, in which they are most of the numbers."""
+        """(T, B, width) in the file's own type, because it has most of the file's numbers."""
         values, n_frames = self._numbers(name, 3), len(self._columns.angles)
         if values.shape[0] != n_frames or values.shape[2] != width:
             raise self._error(
@@ -469,40 +470,40 @@ class ArrayFile:
 
     @cached_property
     def _fps(self) -> float | None:
-        """Frames per second as the file says; None if it does not."""
+        """Frame rate in the file; None if it has none."""
         name = self._first((*_FPS, "dt"))
         if not name:
             return None
         values = self._array(name).ravel()
         if values.size == 1 and values.dtype.kind in "iuf" and values[0] > 0:
             return float(1.0 / values[0] if _plain(name) == "dt" else values[0])
-        raise self._error(f"{name} is no frame rate", "Give it one number, such as 50.")
+        raise self._error(f"{name} is not a frame rate", "Give it one number, such as 50.")
 
     def _first(self, names: Iterable[str]) -> str:
-        """The array that has the first of these names that there is; empty if none has."""
+        """The first of these names that is an array in the file; "" if there is none."""
         return next((self._by_name[name] for name in names if name in self._by_name), "")
 
     def _numbers(self, name: str, dimensions: int) -> NDArray[Any]:
         if isinstance(unread := self._arrays[name], Unread):
-            raise self._error(f"{name} is a {unread.name}, which is not read", "Make it an array.")
+            raise self._error(f"{name} is a {unread.name}, not an array", "Make it an array.")
         values = self._array(name)
         if values.dtype.kind not in "iuf" or values.ndim != dimensions or not values.size:
             raise self._error(
-                f"{name} is no array of numbers with {dimensions} dimensions",
+                f"{name} is not an array of numbers with {dimensions} dimensions",
                 "Give it a row for each frame.",
             )
         if values.size > _NUMBERS:
             raise self._error(
                 f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
             )
-        if not (float(values.min()) >= -NUMBER and float(values.max()) <= NUMBER):  # NaN is neither
+        if not (float(values.min()) >= -NUMBER and float(values.max()) <= NUMBER):  # False for NaN
             raise self._error(
                 f"{name} has a number that is not finite, or beyond {NUMBER:g}", "Correct it."
             )
         return values
 
     def _texts(self, name: str) -> list[str]:
-        """The texts in an array; none without it."""
+        """The strings in an array; empty if it does not exist."""
         self._read[name] = None
         values = self._arrays.get(name, [])
         texts = values if isinstance(values, list) else np.ravel(values).tolist()
@@ -520,19 +521,19 @@ class ArrayFile:
             ) from None
 
     def _of_one_motion(self, content: Any, member: str | None) -> dict[str, Any]:
-        """The arrays; those of the chosen, or only, motion where there is a dict of motions."""
+        """The arrays of the file, or of the selected or only motion in a dict of motions."""
         if not isinstance(content, dict) or not content:
-            raise self._error("it has no arrays by name", _READ)
+            raise self._error("it has no named arrays", _READ)
         names = _members(content)
         if not names:
             if member is None:
                 return content
-            raise self._error(f"it is one motion, and has none named {member}", "Leave that out.")
+            raise self._error(f"it is one motion without the name {member}", "Remove the name.")
         if member is None and len(names) == 1:
             (member,) = names
         if member not in names:
             count = f"{len(names)} motions" if len(names) > 1 else "one motion"
-            has = f"it has {count}" + (f", and none named {member}" if member else "")
+            has = f"it has {count}" + (f", and none with the name {member}" if member else "")
             raise self._error(
                 f"{has}: {listed(names)}", f"Give one by its name: {self._file.path}:{names[0]}"
             )
@@ -545,7 +546,7 @@ class ArrayFile:
 
 
 def open_table(file: MotionFile) -> ArrayFile:
-    """The reader of a CSV.
+    """Open a CSV.
 
     Raises:
         MotionError: it cannot be read.
@@ -555,7 +556,7 @@ def open_table(file: MotionFile) -> ArrayFile:
 
 
 def open_arrays(file: MotionFile) -> ArrayFile:
-    """The reader of an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
+    """Open an NPZ, an NPY, a PyTorch file, or a pickle, plain or from joblib.
 
     Raises:
         MotionError: it cannot be read, or has no such motion.
@@ -564,9 +565,9 @@ def open_arrays(file: MotionFile) -> ArrayFile:
 
 
 def open_sonic(file: MotionFile) -> ArrayFile:
-    """The reader of a directory of SONIC: tables with a header, 50 Hz.
+    """Open a directory of SONIC: tables with a header, 50 Hz.
 
-    Joints are in Isaac Lab's order, where the places of several bodies do not tell another one.
+    Joints are in Isaac Lab's order, unless the positions of several bodies show another one.
 
     Raises:
         MotionError: a table cannot be read.
@@ -583,13 +584,13 @@ def open_sonic(file: MotionFile) -> ArrayFile:
             if values.shape[1] % width:
                 raise MotionError(
                     f"{file.path.name}/{path.name} has {values.shape[1]} columns.",
-                    f"Give it {width} for each body.",
+                    f"Give it {width} columns for each body.",
                 )
             values = values.reshape(len(values), -1, width)
         arrays[name] = values
         digest += one.content
     bodies, quats = arrays.get("body_pos"), arrays.get("body_quat")
-    if bodies is None and quats is not None:  # which SONIC reads, too
+    if bodies is None and quats is not None:  # SONIC reads this, too
         arrays["body_pos"] = np.zeros((*quats.shape[:2], 3))
     tells = bodies is not None and bodies.shape[1] >= _SONIC_BODIES
     if not tells and file.joint_order is None:
@@ -601,7 +602,7 @@ def _numbers_below_header(content: bytes, name: str) -> Floats:
     """The numbers (T, N) of a CSV whose first line names its columns.
 
     Raises:
-        MotionError: there are none.
+        MotionError: it has no numbers.
     """
     _, _, rows = content.partition(b"\n")
     try:
@@ -610,13 +611,13 @@ def _numbers_below_header(content: bytes, name: str) -> Floats:
         return np.loadtxt(io.BytesIO(rows), delimiter=",", comments=None, ndmin=2)
     except ValueError:
         raise MotionError(
-            f"{name} is no table of numbers below a header.",
-            "Give every line a number for each column that the first line names.",
+            f"{name} is not a table of numbers below a header.",
+            "Give each line a number for each column that the first line names.",
         ) from None
 
 
 def motions_in(file: MotionFile) -> tuple[str, ...]:
-    """The names of the motions in a pickle or a file of PyTorch; none where it is only one.
+    """Names of the motions in a pickle or PyTorch file; empty if it has only one motion.
 
     Raises:
         MotionError: it cannot be read.
@@ -631,7 +632,7 @@ def _members(content: Any) -> tuple[str, ...]:
 
 
 def _content(file: MotionFile) -> tuple[str, Any]:
-    """As `read_arrays`.
+    """Kind and content of a file, as `read_arrays` returns them.
 
     Raises:
         MotionError: it cannot be read.
@@ -643,17 +644,17 @@ def _content(file: MotionFile) -> tuple[str, Any]:
 
 
 def _plain(name: str) -> str:
-    """The name of an array as the tables above have it."""
+    """The name of an array in the form of the tables above."""
     return name.lower().removesuffix("_w")
 
 
 def _some(n_frames: int, at_most: int) -> NDArray[np.intp]:
-    """Numbers of frames, evenly spaced."""
+    """Indices of frames, evenly spaced."""
     return np.linspace(0, n_frames - 1, min(at_most, n_frames)).astype(np.intp)
 
 
 def _unit_columns(pose: NDArray[Any]) -> list[int]:
-    """Where the quaternion in a pose (T, 7) may begin, at 3 or 0: where its norm is 1."""
+    """First columns that a quaternion in a pose (T, 7) may have, 3 or 0: its norm is 1."""
     some = pose[_some(len(pose), _MANY_FRAMES)]
     norms = {first: np.linalg.norm(some[:, first : first + 4], axis=1) for first in (3, 0)}
     return [first for first, norm in norms.items() if (np.abs(norm - 1.0) < _UNIT).all()]
@@ -661,12 +662,12 @@ def _unit_columns(pose: NDArray[Any]) -> list[int]:
 
 @cache
 def names_in_order(order: JointOrder) -> tuple[str, ...]:
-    """The names of the 29 joints in an order; that of Isaac Lab is breadth first."""
+    """The names of the 29 joints in an order. Isaac Lab's is breadth first."""
     if order == "motor":
         return JOINT_NAMES
     robot = G1.default()
     link_of = {int(joint): link for link, joint in enumerate(robot.joint_of_link) if joint >= 0}
-    moving = [0] * len(robot.link_names)  # joints from the pelvis to a link
+    moving = [0] * len(robot.link_names)  # number of joints from the pelvis to a link
     for link in np.concatenate(robot.levels).tolist():
         moving[link] = moving[robot.parent[link]] + int(robot.joint_of_link[link] >= 0)
     ranked = sorted(range(N_JOINTS), key=lambda joint: (moving[link_of[joint]], joint))
@@ -674,7 +675,7 @@ def names_in_order(order: JointOrder) -> tuple[str, ...]:
 
 
 def _in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:
-    """(T, 29) angles of the joints `names`, in motor order; 0 of others."""
+    """(T, 29) angles of the joints `names` in motor order; 0 for the others."""
     if names == JOINT_NAMES:
         return angles
     ordered = np.zeros((len(angles), N_JOINTS))
@@ -685,10 +686,10 @@ def _in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:
 
 
 def _distance(joint_pos: Floats, bodies: NDArray[Any], root: _Root) -> tuple[float, str]:
-    """Mean distance, mm, from each body (T, B, 3) to the nearest link of the robot that fits best.
+    """Mean distance, mm, from each body (T, B, 3) to the nearest link, for the best robot model.
 
     Returns:
-        The distance, and the name of that robot.
+        The distance, and the robot's name.
     """
     found, quat = bodies[:, :, np.newaxis], quat_normalize(root.quat_wxyz)
     distances = []
@@ -713,7 +714,7 @@ def _lean(quat_wxyz: Floats) -> float:
 
 
 def read_arrays(data: bytes) -> tuple[str, Any]:
-    """What kind of file it is, and what is in it, without running anything.
+    """Kind and content of a file. Nothing in it is executed.
 
     Raises:
         ValueError: it is damaged, or larger than 512 MiB unpacked.
@@ -732,29 +733,29 @@ def _zip_members(data: bytes) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
-            # zipfile itself reads no more than this size of a member.
+            # zipfile itself reads at most this size of a member.
             if sum(member.file_size for member in members) > UNPACKED:
                 raise ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
             plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
             if any(member.compress_type not in plain for member in members):
-                raise ValueError("it is compressed in another way than deflate")
+                raise ValueError("it has a compression other than deflate")
             return {member.filename: archive.read(member) for member in members}
     except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ValueError("it is damaged or cut off") from error
-    except (NotImplementedError, RuntimeError) as error:  # encrypted, or of a newer ZIP
+        raise ValueError("it is damaged or incomplete") from error
+    except (NotImplementedError, RuntimeError) as error:  # encrypted, or a newer ZIP version
         raise ValueError(str(error)) from error
 
 
 def _npy(data: bytes) -> Any:
-    """The array in an NPY file, one of Python objects as `read_pickle` reads it."""
+    """The array in an NPY file; an array of Python objects is read with `read_pickle`."""
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("an array has another version than 1.0 of the NPY format")
+        raise ValueError("an array has another NPY version than 1.0")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it warns of headers as Python 2 wrote them
+        warnings.simplefilter("ignore")  # numpy warns about headers written by Python 2
         try:
             shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
-        except Exception as error:  # numpy parses it as Python, which has many ways to fail
+        except Exception as error:  # numpy evaluates the header as Python, with many errors
             raise ValueError("the header of an array is damaged") from error
     if dtype.hasobject:
         return read_pickle(data[file.tell() :])
@@ -762,4 +763,4 @@ def _npy(data: bytes) -> Any:
         values = np.frombuffer(data, dtype, offset=file.tell())
         return values.reshape(shape, order="F" if column_major else "C")
     except ValueError as error:
-        raise ValueError("an array is damaged or cut off") from error
+        raise ValueError("an array is damaged or incomplete") from error

@@ -1,7 +1,7 @@
 """Smooth transitions: minimum jerk, coasting to rest, and the frames between two motions.
 
-Both polynomials take a number or an array. The control loop needs numbers, which cost it a third of
-a microsecond; frames need arrays.
+Both polynomials take a number or an array. The control loop uses numbers, which takes a third of
+a microsecond. Frames use arrays.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ __all__ = [
 ]
 
 COAST: Final = 0.2
-"""Seconds in which a velocity at either end of a motion dies away or is built up.
+"""Time in which a velocity at either end of a motion decays or is built up, s.
 
-The overshoot of a velocity v is 0.2 * 0.2 s * v at most."""
+A velocity v overshoots by at most 0.2 * 0.2 s * v."""
 
 MINIMUM_JERK_PEAK: Final = 15 / 8
 """Peak speed of a minimum-jerk path of length 1 in time 1."""
@@ -37,15 +37,15 @@ MINIMUM_JERK_PEAK: Final = 15 / 8
 #: Highest speed of the minimum-jerk part of a seam: joints and the root's rotation in rad/s, the
 #: root's translation in m/s.
 _PEAK_SPEED: Final = 1.5
-#: No seam is shorter, s: room for both coasts and a blend between them.
+#: Shortest seam, s: both coasts and a blend between them.
 _SHORTEST: Final = 0.5
 
 
 def minimum_jerk(s: T) -> tuple[T, T, T]:
     """Progress from 0 to 1, its rate and its acceleration at the fraction `s` of a movement.
 
-    The polynomial 10 s^3 - 15 s^4 + 6 s^5 starts and ends at rest without acceleration: T. Flash
-    and N. Hogan, "The coordination of arm movements", 1985. Beyond 0 and 1 it rests.
+    The polynomial 10 s^3 - 15 s^4 + 6 s^5 starts and ends at rest without acceleration (T. Flash
+    and N. Hogan, "The coordination of arm movements", 1985). It is at rest outside 0 to 1.
     """
     s = _unit(s)
     progress = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
@@ -55,14 +55,14 @@ def minimum_jerk(s: T) -> tuple[T, T, T]:
 
 
 def coast(seconds: T, length: float | T) -> tuple[T, T, T]:
-    """Distance, velocity and acceleration while a velocity of 1 is brought to 0.
+    """Distance, velocity and acceleration while a velocity of 1 decays to 0.
 
-    The quintic Hermite polynomial that starts with velocity 1 and without acceleration, and ends
-    with neither, where it started: T (x - 6 x^3 + 8 x^4 - 3 x^5) of x = t / T.
+    The quintic Hermite polynomial T (x - 6 x^3 + 8 x^4 - 3 x^5), x = t / T. It starts with
+    velocity 1 and without acceleration, and ends where it started, without both.
 
     Args:
-        seconds: since the start, s.
-        length: how long it takes, s; then it rests.
+        seconds: time since the start, s.
+        length: duration T, s; at rest afterwards.
     """
     x = _unit(seconds / length)
     distance = length * x * (1.0 - x) ** 3 * (1.0 + 3.0 * x)
@@ -72,10 +72,10 @@ def coast(seconds: T, length: float | T) -> tuple[T, T, T]:
 
 
 def seam_frames(linear: Floats, quat: Floats, fps: float) -> tuple[Floats, Floats]:
-    """Append to the frames of a motion those that lead from the last back to the first.
+    """Append frames that lead from the last frame of a motion back to the first.
 
-    They are those of `blend_frames`. They are not in the motion file, so that they take only as
-    long as the speeds need.
+    They are made with `blend_frames`. They are not in the motion file, so they are only as long as
+    the speeds require.
 
     Args:
         linear: (T, D) joint angles, rad, and root position, m.
@@ -83,8 +83,8 @@ def seam_frames(linear: Floats, quat: Floats, fps: float) -> tuple[Floats, Float
         fps: frames per second.
 
     Returns:
-        The same two with S frames appended, (T + S, D) and (T + S, 4). One frame after the last of
-        them is frame 0 again.
+        Both arrays with S frames appended, (T + S, D) and (T + S, 4). The next frame after these is
+        frame 0 again.
     """
     from scipy.spatial.transform import Rotation
 
@@ -104,18 +104,19 @@ def blend_frames(
     n_steps: int,
     coasting: float | Floats = COAST,
 ) -> tuple[Floats, Floats]:
-    """The frames that lead from the last of one motion to the first of another.
+    """Frames that lead from the end of one motion to the start of another.
 
-    Every joint coasts out of its last velocity, moves to its first angle on a minimum-jerk path and
-    is brought up to its first velocity; the root does the same.
+    Every joint coasts from its last velocity, moves to its first angle on a minimum-jerk path and
+    accelerates to its first velocity. The root does the same.
 
     Args:
-        linear: (2, D) and (2, D), the last two frames of the one and the first two of the other:
-            joint angles, rad, and root position, m.
-        quat: (2, 4) and (2, 4) likewise, root orientation, wxyz.
+        linear: (2, D) and (2, D), the last two frames of the first motion and the first two of the
+            second: joint angles, rad, and root position, m.
+        quat: (2, 4) and (2, 4), the same frames' root orientation, wxyz.
         fps: frames per second.
-        n_steps: from the one to the other, 2 or more.
-        coasting: how long each coasts, s: a number, or (D,); at most that of all steps counts.
+        n_steps: number of steps between the motions, 2 or more.
+        coasting: duration of each coast, s: a number, or (D,). It is limited to the time of all
+            steps.
 
     Returns:
         (S, D) and (S, 4), S = n_steps - 1.

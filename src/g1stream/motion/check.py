@@ -1,4 +1,4 @@
-"""What a motion is like, and what it asks of a robot: the report of `g1stream motion`."""
+"""Check of a motion against a robot: the report of `g1stream motion`."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ __all__ = [
     "dropped_joints",
 ]
 
-#: Twice around: no joint of a G1 gets so far, but an angle in degrees soon does, rad.
+#: Two turns, rad. No joint of a G1 moves so far, but angles in degrees soon do.
 _LARGEST_ANGLE: Final = 4.0 * np.pi
-#: Larger numbers are no degrees either.
+#: Larger numbers are not degrees either.
 _LARGEST_DEGREES: Final = 720.0
-#: No pelvis is so high for most of a motion, m; from the second on, it is in millimetres.
+#: No pelvis is higher than this for most of a motion, m; above the second, the unit is mm.
 _HIGHEST: Final = 10.0
 _MILLIMETRES: Final = 300.0
-#: A step from one frame to the next that is no movement of a joint, rad; a LAFAN1 dance has 1.08.
+#: A larger step between frames is no movement of a joint, rad; a LAFAN1 dance has 1.08.
 _LARGE_STEP: Final = 0.5
 
 
 @dataclass(frozen=True)
 class JointStep:
-    """How far a joint moves from one frame to the next: `value` rad, after `frame`."""
+    """Change of a joint from one frame to the next: `value` rad, after `frame`."""
 
     joint: str
     frame: int
@@ -53,13 +53,13 @@ class JointStep:
 
 @dataclass(frozen=True)
 class RootTravel:
-    """Where the root goes, m, and how far it leans."""
+    """Travel of the root, m, and its largest tilt."""
 
-    path: float  # length of its path over the ground
-    displacement: float  # from its start to its end over the ground
+    path: float  # length of the path along the ground
+    displacement: float  # from start to end along the ground
     lowest: float
     highest: float
-    tilt: float  # of the pelvis from upright, at most, rad
+    tilt: float  # largest tilt of the pelvis from upright, rad
     tilt_frame: int
 
 
@@ -68,9 +68,9 @@ class Dropped:
     """Joints of a motion that a robot does not have.
 
     Attributes:
-        robot: its name.
-        joints: their names.
-        moved: those of them that are not 0 throughout the motion, and are missed.
+        robot: name of the robot.
+        joints: names of the joints.
+        moved: names of those that are not 0 throughout the motion.
     """
 
     robot: str
@@ -87,7 +87,7 @@ class Dropped:
 
 @dataclass(frozen=True)
 class MotionReport:
-    """A motion's size and what it asks of the robot."""
+    """A motion's size, its joint speeds, and the limits that it exceeds."""
 
     name: str
     n_frames: int
@@ -99,24 +99,24 @@ class MotionReport:
     largest_step: JointStep
     root: RootTravel
     groups: dict[str, tuple[float, float]]  # lowest and highest angle by limb, rad
-    warnings: tuple[str, ...]  # of the reader
-    operations: tuple[str, ...] = ()  # what was done to the motion in the file
-    floor: float | None = None  # height at which its feet stand, m; None: none stands, or unknown
-    dropped: Dropped | None = None  # joints that the robot does not have
-    in_si_units: bool = True  # rad and m, as far as sizes say
-    suspicion: str = ""  # what a fault looks like: "frame 7 is a spike of 2.4 rad"
+    warnings: tuple[str, ...]  # from the reader
+    operations: tuple[str, ...] = ()  # changes to the motion in the file
+    floor: float | None = None  # height of the standing feet, m; None: none stands, or unknown
+    dropped: Dropped | None = None  # joints that the robot lacks
+    in_si_units: bool = True  # plausible as rad and m
+    suspicion: str = ""  # likely fault, such as "frame 7 is a spike of 2.4 rad"
 
     @property
     def within_limits(self) -> bool:
-        """Whether every frame keeps the position limits and the spline the speed limits.
+        """Whether all frames keep the position limits and the spline keeps the speed limits.
 
-        Targets that are held at a position limit between frames do not count: they are safe.
+        Targets that are clamped to a position limit between frames do not count: they are safe.
         """
         return not self.frames_beyond and not self.streamed.too_fast
 
     @property
     def passed(self) -> bool:
-        """Whether it is within the limits, and in radians and metres. Warnings do not count."""
+        """Whether it is within the limits, and in radians and metres, despite any warnings."""
         return self.within_limits and self.in_si_units
 
 
@@ -125,7 +125,7 @@ def _short(joints: tuple[str, ...]) -> str:
 
 
 def dropped_joints(motion: Motion, robot: G1) -> Dropped | None:
-    """What the robot leaves out of a motion; None where it has all joints."""
+    """The joints of a motion that the robot lacks; None if it has all joints."""
     absent = ~robot.present
     if not absent.any():
         return None
@@ -143,15 +143,15 @@ def check_motion(
     trajectory: Trajectory | None = None,
     interval: Interval | None = None,
 ) -> MotionReport:
-    """Measure a motion against the robot's limits.
+    """Check a motion against the robot's limits.
 
     Args:
-        motion: its frames.
-        robot: has the limits.
+        motion: the motion.
+        robot: the robot with the limits.
         rate: joint targets per second when it is streamed, Hz.
-        position_margin: rad, kept from position limits when it is streamed.
-        trajectory: through its frames, which repeats if the motion does; made if None.
-        interval: the part whose limits count; all of it if None.
+        position_margin: distance from position limits when it is streamed, rad.
+        trajectory: spline through its frames, which repeats if the motion does; made if None.
+        interval: the part whose limits are checked; the whole motion if None.
     """
     frames_beyond, fastest = frame_peaks(motion, robot, interval)
     largest_step, floor = _largest_step(motion), _floor(motion, robot)
@@ -184,7 +184,7 @@ def check_motion(
 
 
 def _wrong_unit(motion: Motion) -> str:
-    """In which unit angles or positions look, as their sizes say; or ""."""
+    """The unit that angles or positions seem to have if it is not SI; or ""."""
     angles, height = motion.joint_pos, float(np.median(motion.root_pos[:, 2]))
     row, column = divmod(int(np.abs(angles).argmax()), angles.shape[1])
     largest = f"{motion.joint_names[column]} is at {angles[row, column]:g} in frame {row}"
@@ -199,21 +199,21 @@ def _wrong_unit(motion: Motion) -> str:
 
 
 def _suspicion(motion: Motion, worst: JointPeak) -> str:
-    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
+    """The likely fault of a motion beyond a limit, if it can be identified; or ""."""
     one = motion.joint_pos[:, motion.joint_names.index(worst.joint)]
     steps = np.diff(one)
     near = max(0, round(worst.time * motion.fps) - 2)
     frame = near + int(np.abs(steps[near : near + 4]).argmax()) if near < len(steps) else near
     if frame >= len(steps) or abs(steps[frame]) < _LARGE_STEP:
         return ""
-    for spike in (frame, frame + 1):  # the large step leads to it, or away from it
+    for spike in (frame, frame + 1):  # the large step leads to the spike, or away from it
         around = one[[max(0, spike - 1), min(len(one) - 1, spike + 1)]]
         height = np.abs(one[spike] - around).min()
         if height > _LARGE_STEP and abs(around[1] - around[0]) < height / 2:
             return f"frame {spike} were a spike of {height:.2f} rad"
     before, after = steps[max(0, frame - 1)], steps[min(len(steps) - 1, frame + 1)]
     if max(abs(before), abs(after)) > abs(steps[frame]) / 3.0:
-        return ""  # a movement, though a fast one
+        return ""  # a fast movement
     return f"two motions were joined: {steps[frame]:+.2f} rad from frame {frame} to {frame + 1}"
 
 
@@ -238,7 +238,7 @@ def _root_travel(motion: Motion) -> RootTravel:
 
 
 def _floor(motion: Motion, robot: G1) -> float | None:
-    with suppress(RobotError):  # feet that it does not know
+    with suppress(RobotError):  # the robot's soles are unknown
         return height_of_floor(motion, robot)
     return None
 

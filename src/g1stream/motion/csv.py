@@ -1,11 +1,11 @@
-"""Motion tables in CSV, or with spaces as `numpy.savetxt` writes them: a row a frame.
+"""Motion tables in CSV, or separated by spaces as from `numpy.savetxt`, with a row per frame.
 
-A header names the columns: those of `ROOT_COLUMNS` and the joints, in any order, also under other
-names, such as `root_pos_x`, `quat_w` and `left_knee`. It may be in quotes, or a comment. Without a
-header `g1stream.motion.arrays` tells what the columns are.
+A header names the columns: those of `ROOT_COLUMNS` and the joints, in any order. Other names such
+as `root_pos_x`, `quat_w` and `left_knee` work, too. The header may be in quotes, or a comment.
+Without a header `g1stream.motion.arrays` detects the columns.
 
-numpy parses the numbers. It says little about what it refuses, so that a table with a fault is then
-searched cell by cell for the first one.
+numpy parses the numbers. Its errors have few details, so a faulty table is then searched cell by
+cell for the first fault.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["Table", "read_csv"]
 _FRAME: Final = ROOT_COLUMNS[0]
 _POSITION: Final = ROOT_COLUMNS[1:4]
 _QUAT_XYZW: Final = ROOT_COLUMNS[4:]
-#: Names that other tools give to the columns of the root.
+#: Names of the root's columns in other tools.
 _OTHER_NAMES: Final = {
     prefix + axis.lower()[-1]: axis
     for axes, prefixes in (
@@ -41,27 +41,27 @@ _OTHER_NAMES: Final = {
     for axis in axes
     for prefix in prefixes
 } | {"frame": _FRAME}
-#: In the names of columns with Euler angles.
+#: Parts of the names of columns with Euler angles.
 _EULER: Final = ("rotate", "euler", "roll", "pitch", "yaw", "rpy")
 _JOINTS: Final = frozenset(JOINT_NAMES)
-#: Lines in which the first row of numbers is.
+#: The first row of numbers must be within this number of lines.
 _HEADER: Final = 1000
 _BOM: Final = b"\xef\xbb\xbf"
 _LAYOUT: Final = (
     f"Separate columns with commas or spaces, and name {','.join(ROOT_COLUMNS[1:])} and the "
-    f"{len(JOINT_NAMES)} joints in the first line; or have no header, and position, quaternion "
-    "(xyzw) and joints."
+    f"{len(JOINT_NAMES)} joints in the first line; or give position, quaternion (xyzw) and joints "
+    "without a header."
 )
 
 
 class Table(NamedTuple):
-    """What is in a CSV file.
+    """The content of a CSV file.
 
     Attributes:
-        about: it, for messages.
+        about: description for messages.
         arrays: `joint_pos`, `joint_names`, `root_pos`, `root_quat_xyzw`, and each other column by
             its name; without a header only `table`, (T, N).
-        first_line: the line of frame 0, from 1.
+        first_line: line of frame 0, from 1.
     """
 
     about: str
@@ -70,15 +70,15 @@ class Table(NamedTuple):
 
 
 def read_csv(content: bytes, name: str) -> Table:
-    """The columns of a table.
+    """Read the columns of a table.
 
     Args:
-        content: UTF-8. A byte order mark, any line ends, spaces around cells and blank lines at the
-            end are accepted.
-        name: of the file, for errors.
+        content: UTF-8 text. A byte order mark, all line ends, spaces around cells and blank lines
+            at the end are accepted.
+        name: name of the file, for errors.
 
     Raises:
-        MotionError: it is no table of numbers, or not one of a robot; names line and column.
+        MotionError: it is no table of numbers, or not one of a robot. It names line and column.
     """
     return _Reader(content, name).table()
 
@@ -105,14 +105,14 @@ class _Reader:
             header, self._named = line.lstrip("# "), self._named or not comment
             self._header_line = number
         else:
-            cause = "there is a header but no frame" if header else "the file is empty"
+            cause = "it has a header but no frame" if header else "the file is empty"
             raise self._error(cause, "Give a CSV file with a line per frame, or a session file.")
         self._delimiter = "," if "," in line else None
         self._n_columns = len(_cells(line))
         names = [cell.strip("\"'") for cell in _cells(header)]
-        # A comment may be about something else.
+        # Such a comment may not be a header.
         if names and (self._named or len(names) == self._n_columns):
-            names[0] = names[0] or _FRAME  # as pandas writes it
+            names[0] = names[0] or _FRAME  # pandas writes an index without a name
             self._columns = tuple(map(_canonical_column, names))
             self._n_columns = len(names)
         self._n_rows = self._data.count(b"\n", 0, self._end) + 2 - self._first_line
@@ -137,7 +137,7 @@ class _Reader:
         return Table(f"{size}, named by a header", arrays, self._first_line)
 
     def _lines(self) -> Iterator[str]:
-        """The lines of the text, but for blank ones at its end."""
+        """The lines of the text, except blank ones at its end."""
         start, number = 0, 1
         while start < self._end:
             stop = self._data.find(b"\n", start, min(self._end, start + CSV_LINE + 1))
@@ -152,7 +152,7 @@ class _Reader:
             except UnicodeDecodeError as error:
                 raise self._error(
                     f"byte {start + error.start} is not UTF-8 text",
-                    "Give a CSV file saved as UTF-8, an NPZ, a pickle of arrays, or a session.",
+                    "Give a CSV file in UTF-8, an NPZ, a pickle of arrays, or a session.",
                     number,
                 ) from None
             if "\0" in line:
@@ -167,7 +167,7 @@ class _Reader:
             values = np.loadtxt(lines, delimiter=self._delimiter, comments=None, ndmin=2)
         except ValueError:
             raise self._first_fault() from None
-        within = values.min() >= -NUMBER and values.max() <= NUMBER  # NaN is neither
+        within = values.min() >= -NUMBER and values.max() <= NUMBER  # False for NaN
         if not within or values.shape != (self._n_rows, self._n_columns):
             raise self._first_fault()
         return values
@@ -175,7 +175,7 @@ class _Reader:
     def _error(
         self, cause: str, remedy: str, line: int | None = None, column: int | None = None
     ) -> MotionError:
-        """The error at a line, counted from 1, and a column, counted from 0."""
+        """An error with its line, counted from 1, and its column, counted from 0."""
         where = self._name
         if line is not None:
             where += f", line {line}"
@@ -190,7 +190,7 @@ class _Reader:
             if not name or name in seen:
                 raise self._error(
                     "another column has the same name" if name else "the header has an empty name",
-                    "Give each column a name of its own, and end no line with a comma.",
+                    "Give each column a unique name, and end no line with a comma.",
                     self._header_line,
                     column,
                 )
@@ -206,11 +206,11 @@ class _Reader:
                 self._header_line,
             )
         if not _JOINTS & seen or (missing and named):
-            lacks = ", ".join(missing) if named else "the names of the joints"
+            lacks = ", ".join(missing) if named else "joint names"
             raise self._error(f"the header lacks {lacks}", _LAYOUT, self._header_line)
 
     def _first_fault(self) -> MotionError:
-        """The error about the first cell or line that is not what it should be."""
+        """An error about the first faulty cell or line."""
         for number, line in enumerate(self._lines(), 1):
             if number < self._first_line:
                 continue
@@ -234,7 +234,7 @@ class _Reader:
         return self._error("numpy cannot read it as numbers", "Give a plain CSV file.")
 
     def _check_frame_numbers(self, numbers: Floats) -> None:
-        # Whole numbers that rise by one. The first may be any, as in a clip.
+        # Whole numbers that increase by one. A clip may start at any number.
         wrong = np.flatnonzero((np.diff(numbers) != 1) | (numbers[1:] != np.rint(numbers[1:])))
         if wrong.size:
             row = int(wrong[0]) + 1
@@ -251,7 +251,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _take(values: Floats, columns: Sequence[int]) -> Floats:
-    """Some columns; a view where they are side by side."""
+    """Some columns; a view if they are adjacent."""
     first = columns[0]
     if list(columns) == list(range(first, first + len(columns))):
         return values[:, first : first + len(columns)]
@@ -259,7 +259,7 @@ def _take(values: Floats, columns: Sequence[int]) -> Floats:
 
 
 def _canonical_column(column: str) -> str:
-    """The name of a column as g1stream writes it, where it is another name for the same."""
+    """The name of a column as g1stream writes it, for known synonyms."""
     lower = column.lower()
     joint = f"{lower.removesuffix('_joint')}_joint"
     return _OTHER_NAMES.get(lower, joint if joint in _JOINTS else column)
@@ -271,7 +271,7 @@ def _is_euler(column: str) -> bool:
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell holds a decimal number of a sane size."""
+    """Whether a cell holds a decimal number of a plausible size."""
     if "_" in cell or not cell.isascii():
         return False
     try:

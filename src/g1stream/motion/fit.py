@@ -1,4 +1,4 @@
-"""Whether a motion fits the robot that is to play it, and a motion that is slowed until it does."""
+"""Check that a motion fits the robot's limits, and slow it down until it does if requested."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "fit_to_robot", "require_si_units"]
 
-#: A slowed motion is measured at other times than before, and may need to be slowed once more.
+#: A slowed motion is sampled at other times, so it may need to be slowed once more.
 _ATTEMPTS: Final = 5
 
 
@@ -30,10 +30,10 @@ class Fit(NamedTuple):
     """A motion that may be played.
 
     Attributes:
-        trajectory: of the motion, or of the slowed one.
+        trajectory: spline of the motion, maybe slowed.
         interval: the part to play.
-        slowed: factor by which it was slowed; 1 where it was not.
-        events: what is to be logged about it, with the level.
+        slowed: factor by which it was slowed, or 1.
+        events: log messages about it, with their levels.
     """
 
     trajectory: Trajectory
@@ -45,28 +45,29 @@ class Fit(NamedTuple):
 def fit_to_robot(
     motion: Motion, robot: G1, config: Config, *, simulated: bool, commanded: bool = True
 ) -> Fit:
-    """The motion as it may be played with these settings.
+    """The motion in the form in which it may be played with these settings.
 
-    With `stream.beyond_limits` = `scale-time`, a motion that is too fast is slowed evenly, as a
-    whole, until every joint keeps its velocity limit; `stream.start` and `stream.duration` count in
-    the time of the slowed motion.
+    With `stream.beyond_limits` = `scale-time`, a motion that is too fast is slowed evenly as a
+    whole until every joint keeps its velocity limit. `stream.start` and `stream.duration` then
+    refer to the slowed motion.
 
     Args:
-        motion: to be played.
-        robot: whose limits apply.
+        motion: motion to be played.
+        robot: robot with the limits.
         config: the part to play, the rate, the margin and `stream.beyond_limits`.
-        simulated: nothing but a simulator is reached, so that `anyway` is allowed.
-        commanded: the motion's targets are; a reference that is not has no limits.
+        simulated: only a simulator can be reached, so `anyway` is allowed.
+        commanded: the motion's targets are sent; without it there are no limits.
 
     Raises:
         ConfigError: `anyway` is not allowed here, or the interval is not within the motion.
-        MotionError: the angles cannot be radians, or the positions metres.
-        SafetyError: a frame is beyond a position limit, or the motion faster than a joint.
+        MotionError: the angles cannot be radians, or the positions cannot be metres.
+        SafetyError: a frame is beyond a position limit, or a joint speed is above its limit.
     """
     beyond = config.stream.beyond_limits
     if beyond == "anyway" and not simulated:
         raise ConfigError(
-            f"stream.beyond_limits = anyway on {config.dds.interface}: there may be a robot.",
+            f"stream.beyond_limits = anyway is not allowed on {config.dds.interface}: "
+            "there may be a robot.",
             "Use --scale-time or --clamp, or the loopback interface lo.",
         )
     fit, report = _check(motion, robot, config, 1.0, commanded)
@@ -74,7 +75,7 @@ def fit_to_robot(
     for _ in range(_ATTEMPTS * (beyond == "scale-time")):
         if report.frames_beyond or report.within_limits:
             break
-        # The whole motion decides, so that each part of it is slowed alike.
+        # The whole motion decides, so that each part of it is slowed equally.
         whole = _of_played(fit.trajectory.motion, robot, config)
         whole_report = check_motion(whole, robot, rate=config.stream.rate)
         fastest = max(
@@ -89,10 +90,10 @@ def fit_to_robot(
 
 
 def require_si_units(report: MotionReport) -> None:
-    """Refuse a motion by its check.
+    """Refuse a motion whose units its check rejects.
 
     Raises:
-        MotionError: the angles cannot be radians, or the positions metres.
+        MotionError: the angles cannot be radians, or the positions cannot be metres.
     """
     if not report.in_si_units:
         raise MotionError(
@@ -112,7 +113,7 @@ def _check(
         events.append((level, f"{motion.name}: {dropped}"))
     if slowed != 1.0:
         motion = replace(motion, fps=motion.fps / slowed)
-        text = f"{motion.name} is played {slowed:g} times slower, to fit the joints' speeds"
+        text = f"{motion.name} is played {slowed:g} times slower to keep the joints' speed limits"
         events.append((logging.WARNING, text))
     interval = Interval.from_config(config.stream, motion)
     trajectory = Trajectory(motion, loop=config.stream.loop)
@@ -131,7 +132,7 @@ def _check(
 
 
 def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:
-    """The motion as far as limits are concerned: joints that do not play it rest within theirs."""
+    """The motion for the limit check: joints that do not play stay within their limits."""
     played = robot.select(config.stream.played_joints)
     if played.all():
         return motion
@@ -149,7 +150,7 @@ def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
     else:
         worst, others = report.streamed.too_fast[0], report.streamed.too_fast[1:]
         cause = (
-            f"{report.name} asks {worst.joint} for {worst.value:.1f} rad/s at {worst.time:.2f} s, "
+            f"{report.name} moves {worst.joint} at {worst.value:.1f} rad/s at {worst.time:.2f} s, "
             f"frame {worst.time * report.fps:.0f}, limit {worst.limit:g}"
         )
     if others:
@@ -159,6 +160,6 @@ def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
     slower = "" if report.frames_beyond or slowing else "--scale-time to play it slower, "
     return SafetyError(
         f"{cause}.",
-        f"See `g1stream motion` and correct it, or give {slower}--clamp to hold its targets at the "
-        "limits, or --anyway on the loopback interface.",
+        f"See `g1stream motion` and correct it, or give {slower}--clamp to limit its targets, "
+        "or --anyway on the loopback interface.",
     )

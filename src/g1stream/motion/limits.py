@@ -1,7 +1,7 @@
-"""What a streamed motion asks of the joints, measured against the robot's limits.
+"""Joint positions and speeds of a streamed motion, compared with the robot's limits.
 
-The stream samples the spline through a motion's frames. Between two frames the spline is faster
-than the frames show, and it may pass a position limit that both frames keep.
+The stream samples the spline through a motion's frames. Between two frames the spline may be
+faster than the frames show, and may exceed a position limit that both frames keep.
 """
 
 from __future__ import annotations
@@ -38,31 +38,31 @@ __all__ = [
 POSITION_TOLERANCE: Final = 1e-6
 """An angle this far beyond a position limit still counts as at the limit, rad.
 
-The only threshold, for frames, for the spline and for the targets that are counted as held:
-with a wider one, report and summary would disagree. Motion files have six decimals, so that a
-joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
+The same threshold applies to frames, to the spline and to the targets that are counted as
+clamped, so that report and summary agree. Motion files have six decimals, so a joint at a limit
+such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 """
 
-#: Holding a joint at its limit changes the motion by less than a robot follows it, up to this, rad.
+#: Clamping a joint by up to this changes the motion by less than a robot's tracking error, rad.
 _SLIGHT: Final = 0.02
-#: Targets sampled at once: those of a long motion take many times the memory of its spline.
+#: Targets sampled at once. All targets of a long motion need much more memory than its spline.
 _BLOCK: Final = 4096
 
 
 @dataclass(frozen=True)
 class Interval:
-    """The part of a motion to be played."""
+    """The part of a motion that is played."""
 
-    start: float  # where in the motion it begins, s
-    length: float | None  # s; None: without end
+    start: float  # its start as a time in the motion, s
+    length: float | None  # s; None: endless
     loop: bool = False  # the motion repeats
 
     @classmethod
     def from_config(cls, settings: StreamConfig, motion: Motion) -> Interval:
-        """The part of a motion that is played with these settings.
+        """The part of a motion that these settings select.
 
         Raises:
-            ConfigError: it would begin after the end of the motion.
+            ConfigError: it starts after the end of the motion.
         """
         start, length = settings.start, settings.duration
         if start >= motion.duration:
@@ -77,7 +77,7 @@ class Interval:
         return cls(start, length, settings.loop)
 
     def frames(self, motion: Motion) -> range:
-        """The frames of a motion between which it is interpolated; all of one that repeats."""
+        """The frames around the interval; all frames of a motion that repeats."""
         if self.loop or self.length is None:
             return range(motion.n_frames)
         first, last = (time * motion.fps for time in (self.start, self.start + self.length))
@@ -86,25 +86,25 @@ class Interval:
 
 @dataclass(frozen=True)
 class JointPeak:
-    """Where a joint's position or speed is furthest beyond a limit, or closest to it."""
+    """The point where a joint's position or speed is furthest beyond a limit, or closest to it."""
 
     joint: str
     time: float  # s from frame 0
     value: float  # position, rad, or speed in either direction, rad/s
-    limit: float  # the one that it is beyond or closest to
+    limit: float  # the nearest or exceeded limit
     count: int  # frames or streamed targets beyond a limit
 
 
 @dataclass(frozen=True)
 class LimitReport:
-    """What a streamed motion asks of the joints."""
+    """Joint speeds, and targets beyond position limits, of a streamed motion."""
 
     motion: str
     duration: float  # s, from frame 0 to the last frame
     rate: float  # joint targets per second, Hz
-    position_margin: float  # rad, by which position limits are narrowed
-    speeds: tuple[JointPeak, ...]  # the highest of each joint, largest share of its limit first
-    held: tuple[JointPeak, ...]  # joints with targets held at a position limit, furthest first
+    position_margin: float  # position limits are narrowed by this, rad
+    speeds: tuple[JointPeak, ...]  # highest of each joint, largest fraction of its limit first
+    held: tuple[JointPeak, ...]  # joints with targets clamped to a position limit, furthest first
 
     @property
     def too_fast(self) -> tuple[JointPeak, ...]:
@@ -116,20 +116,20 @@ class LimitReport:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A warning for positions and one for speeds, where a limit is passed."""
+        """A warning for positions and one for speeds, if a limit is exceeded."""
         warnings = []
         if self.held:
             worst = self.held[0]
             margin = f" less a margin of {self.position_margin:g}" if self.position_margin else ""
             warnings.append(
-                f"{self.motion} asks {worst.joint} for {worst.value:.3f} rad "
+                f"{self.motion} moves {worst.joint} to {worst.value:.3f} rad "
                 f"{self._when(worst.time)}, limit {worst.limit:.3f}{margin}{_others(self.held)}. "
-                f"{counted(self.n_held, 'joint target')} at {self.rate:g} Hz held at the limit."
+                f"{counted(self.n_held, 'joint target')} at {self.rate:g} Hz clamped to the limit."
             )
         if self.too_fast:
             fastest = self.too_fast[0]
             warnings.append(
-                f"{self.motion} asks {fastest.joint} for {fastest.value:.1f} rad/s "
+                f"{self.motion} moves {fastest.joint} at {fastest.value:.1f} rad/s "
                 f"{self._when(fastest.time)}, limit {fastest.limit:g}{_others(self.too_fast)}. "
                 "Joints that cannot follow lag behind."
             )
@@ -137,7 +137,7 @@ class LimitReport:
 
     @property
     def events(self) -> tuple[tuple[int, str], ...]:
-        """The warnings with the level at which to log them: INFO for targets slightly beyond."""
+        """The warnings with their log levels: INFO for targets slightly beyond a limit."""
         slight = self.held and abs(self.held[0].value - self.held[0].limit) <= _SLIGHT
         return tuple(
             (logging.INFO if slight and not number else logging.WARNING, text)
@@ -145,7 +145,7 @@ class LimitReport:
         )
 
     def _when(self, time: float) -> str:
-        if time > self.duration:  # only a loop has samples there
+        if time > self.duration:  # only in a loop
             return "on the way back to its first frame"
         return f"at {time:.2f} s"
 
@@ -158,14 +158,14 @@ def measure_limits(
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> LimitReport:
-    """Measure every joint target that is streamed.
+    """Compare every streamed joint target with the limits.
 
     Args:
-        trajectory: of a motion with the robot's joints.
-        robot: has the limits.
-        interval: the part to be played, of a loop at most one round; the whole motion if None.
-        rate: joint targets per second, Hz; they are taken at the times start + i / rate.
-        position_margin: rad, kept from the position limits, as `safety.position_margin`.
+        trajectory: spline of a motion with the robot's joints.
+        robot: robot with the limits.
+        interval: the part to be played, at most one round of a loop; the whole motion if None.
+        rate: joint targets per second, Hz, at the times start + i / rate.
+        position_margin: distance from the position limits, as `safety.position_margin`, rad.
     """
     motion = trajectory.motion
     interval = interval or Interval(0.0, motion.duration)
@@ -191,9 +191,9 @@ def measure_limits(
 def frame_peaks(
     motion: Motion, robot: G1, interval: Interval | None = None
 ) -> tuple[tuple[JointPeak, ...], JointPeak]:
-    """The joints beyond a position limit in the frames of an interval, and the fastest joint.
+    """The joints beyond a position limit in an interval's frames, and the fastest joint.
 
-    Speeds at the frames, of the whole motion, are central differences, as most tools compute them.
+    Speeds are central differences of the whole motion's frames, as most tools compute them.
     """
     times = np.arange(motion.n_frames) / motion.fps
     positions = _Peaks(robot, robot.lower, robot.upper)
@@ -209,7 +209,7 @@ def frame_peaks(
 
 
 class _Peaks:
-    """Accumulates the peak of each joint, from values (N, J) at times (N,)."""
+    """The peak of each joint so far, from values (N, J) at times (N,)."""
 
     def __init__(self, robot: G1, lower: Floats, upper: Floats) -> None:
         self._names, self._lower, self._upper = robot.joint_names, lower, upper
@@ -220,7 +220,7 @@ class _Peaks:
     def update(self, times: Floats, values: Floats) -> None:
         excess = np.maximum(self._lower - values, values - self._upper)
         row, joint = excess.argmax(axis=0), np.arange(len(self._names))
-        if excess[row, joint].max() > POSITION_TOLERANCE:  # seldom
+        if excess[row, joint].max() > POSITION_TOLERANCE:  # rare
             self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
         higher = excess[row, joint] > self._excess
         self._excess[higher] = excess[row, joint][higher]
@@ -238,18 +238,18 @@ class _Peaks:
         ]
 
     def beyond(self) -> tuple[JointPeak, ...]:
-        """The same of those that pass a limit."""
+        """The peaks of the joints that exceed a limit."""
         return tuple(peak for peak in self.all() if peak.count)
 
 
 def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> Iterator[Floats]:
-    """Times of the joint targets in the interval, s, a block at a time; of a loop, one round."""
+    """Times of the joint targets in the interval, in blocks, s; one round of a loop."""
     once = trajectory.period if interval.loop else trajectory.duration - interval.start
     length = once if interval.length is None else min(interval.length, once)
     n_targets = floor(length * rate + 1e-6) + 1  # rounding must not lose the last one
     for first in range(0, n_targets, _BLOCK):
         numbers = np.arange(first, min(first + _BLOCK, n_targets))
-        # Nor put it behind the end, where the trajectory rests.
+        # Rounding must not move it past the end either, where the trajectory rests.
         yield interval.start + np.minimum(numbers / rate, length)
 
 

@@ -56,28 +56,28 @@ __all__ = [
 ]
 
 MOTION_SUFFIXES: Final = (".csv", ".npz")
-"""Of the files that `Motion.save` writes."""
+"""Suffixes of the files that `Motion.save` writes."""
 ROOT_COLUMNS: Final = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW")
-"""The columns of a CSV file before those of the joints."""
+"""The columns of a CSV file that come before the joints."""
 DEFAULT_FPS: Final = 30.0
-"""Frames per second of a CSV file, which does not say them, if none are given: those of LAFAN1."""
+"""Default frame rate of a CSV file, which has none: the rate of LAFAN1."""
 
 SMALLEST_QUAT: Final = 1e-6
-"""A quaternion whose norm is not above this counts as zero."""
-#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
-#: they are no rounding error.
+"""A quaternion with a norm up to this counts as zero."""
+#: Quaternion norms that differ from 1 by more than the first value give a warning. Beyond the
+#: second, the difference is not a rounding error.
 _NORM_TOLERANCE: Final = 1e-3
 _NORM_ROUNDING: Final = 0.1
-#: Frames per second of a motion, lowest and highest.
+#: Lowest and highest frame rate of a motion.
 _FPS: Final = (1e-3, 1e6)
-#: A blend is no longer than this, s.
+#: Longest blend, s.
 _LONGEST_BLEND: Final = 60.0
-#: A motion that is repeated has no more frames: ten hours at 30 fps.
+#: Most frames of a repeated motion: ten hours at 30 fps.
 _MOST_FRAMES: Final = 1_000_000
-#: A sole that is slower than this stands, m/s.
+#: Below this speed a sole stands, m/s.
 _STANDS: Final = 0.25
-#: The reflection across the plane between left and right, of a point and of a turn: the vector part
-#: of a quaternion is a pseudovector.
+#: Reflection across the plane between left and right, for points and for rotations (the vector
+#: part of a quaternion is a pseudovector).
 _MIRROR: Final = np.array([1.0, -1.0, 1.0])
 _MIRROR_QUAT: Final = np.array([1.0, -1.0, 1.0, -1.0])
 
@@ -87,22 +87,22 @@ class Motion:
     """Poses of the 29 joints and the pelvis. The arrays are read-only float64 copies.
 
     Attributes:
-        name: of the motion; that of the file without its suffix.
+        name: name of the motion, from its file name without the suffix.
         fps: frames per second, above 0.
         joint_names: `g1stream.JOINT_NAMES`, one for each column of `joint_pos`.
         joint_pos: (T, 29) joint angles in motor order, rad, T >= 2.
         root_pos: (T, 3) position of the pelvis in the world frame, m.
         root_quat_wxyz: (T, 4) orientation of the pelvis in the world frame, unit, w first. Its sign
-            is continuous: of q and -q, the one nearer to the previous frame.
+            is continuous: q or -q, whichever is closer to the previous frame.
         source: the file it came from, if any.
-        sha256: of the whole source file, in hex, also where this is only a part of it.
-        warnings: what a reader corrected, a sentence each.
-        operations: what was done to the motion in the file, in this order, such as `mirrored`.
-        parts: the motions that it was joined of, in their order; empty where it was not.
+        sha256: hash of the whole source file, in hex, also if the motion is only a part of it.
+        warnings: corrections of the reader, a sentence each.
+        operations: changes to the motion in the file, in this order, such as `mirrored`.
+        parts: the motions that were joined, in order; empty if it is not joined.
 
     Raises:
-        MotionError: the shapes do not fit together, there is only one frame, a value is not finite
-            or too large, a quaternion is zero, or `fps` is not a frame rate.
+        MotionError: the shapes do not match, there is only one frame, a value is not finite or too
+            large, a quaternion is zero, or `fps` is not a frame rate.
     """
 
     name: str
@@ -128,7 +128,7 @@ class Motion:
         joint_names: Sequence[str] | None = None,
         name: str = "motion",
     ) -> Motion:
-        """A motion of the 29 joints, from arrays.
+        """Make a motion of the 29 joints from arrays.
 
         Args:
             joint_pos: (T, 29) joint angles, rad, T >= 2.
@@ -138,13 +138,13 @@ class Motion:
             fps: frames per second.
             joint_names: the joint in each column of `joint_pos`, in any order; motor order
                 (`g1stream.JOINT_NAMES`) if None.
-            name: of the motion, for messages and recordings.
+            name: name of the motion, for messages and recordings.
 
         Returns:
             The motion, its joints in motor order.
 
         Raises:
-            MotionError: a shape does not fit, a value is not finite, a quaternion is zero, `fps` is
+            MotionError: a shape is wrong, a value is not finite, a quaternion is zero, `fps` is
                 not positive, or the names are not those of the 29 joints.
         """
         angles = np.asarray(joint_pos, dtype=np.float64)
@@ -174,10 +174,9 @@ class Motion:
         if norms.min() <= SMALLEST_QUAT:
             raise MotionError(
                 f"The motion {self.name} has a zero quaternion in frame {int(np.argmin(norms))}.",
-                "Give every frame an orientation; without rotation it is 1, 0, 0, 0 (wxyz).",
+                "Give every frame an orientation; no rotation is 1, 0, 0, 0 (wxyz).",
             )
-        # Those that are unit already stay as they are, to the last bit, so that a saved motion is
-        # read back exactly.
+        # Unit quaternions are kept bit for bit, so that a saved motion is read back exactly.
         quat = np.where(np.abs(norms - 1.0) <= 4.0 * np.finfo(float).eps, quat, quat / norms)
         set_field = object.__setattr__
         set_field(self, "fps", float(self.fps))
@@ -206,7 +205,7 @@ class Motion:
 
     @cached_property
     def content_sha256(self) -> str:
-        """SHA-256 of frame rate, joint angles and root poses, in hex: which motion this is.
+        """SHA-256 of frame rate, joint angles and root poses, in hex. It identifies the motion.
 
         Unlike `sha256`, it exists for motions without a file and differs between parts of one file.
         """
@@ -216,22 +215,22 @@ class Motion:
         return digest.hexdigest()
 
     def frames(self, start: int, stop: int) -> Motion:
-        """The frames `start` up to, but without, `stop`.
+        """The frames from `start` up to, but not including, `stop`.
 
         Raises:
-            MotionError: these are not two frames or more of this motion.
+            MotionError: the range is outside the motion or has fewer than two frames.
         """
         if not 0 <= start <= stop - 2 <= self.n_frames - 2:
             raise MotionError(
                 f"Frames {start} to {stop} are not a part of {self.name}, which has "
                 f"{counted(self.n_frames, 'frame')}.",
-                f"Give a start and a stop, two frames or more apart, from 0 to {self.n_frames}.",
+                f"Give a start and a stop within 0 to {self.n_frames}, two frames or more apart.",
             )
         cut = () if stop - start == self.n_frames else (f"cut to frames {start} to {stop}",)
         return replace(self.at_frames(slice(start, stop)), operations=self.operations + cut)
 
     def at_frames(self, numbers: NDArray[np.intp] | slice) -> Motion:
-        """The frames of these numbers; one that is repeated is a pause."""
+        """The frames with these indices; a repeated index makes a pause."""
         return replace(
             self,
             joint_pos=self.joint_pos[numbers],
@@ -242,19 +241,19 @@ class Motion:
     def samples(
         self, rate: float, start: int, stop: int
     ) -> Iterator[tuple[range, TrajectoryPoint]]:
-        """Sample the spline through the frames at the times i / rate, a piece at a time.
+        """Sample the spline through the frames at the times i / rate, in blocks.
 
         Args:
             rate: samples per second, Hz.
-            start: the first frame of the part to sample.
-            stop: one after its last frame.
+            start: first frame of the part to sample.
+            stop: frame after its last frame.
 
         Yields:
-            Sample numbers i, in order, and the samples, a row each. A part of a motion has the
-            numbers and samples that it has in the whole.
+            Sample indices i, in order, and the samples, a row each. A part of a motion has the
+            same indices and samples as in the whole.
 
         Raises:
-            MotionError: there is no sample in this part of the motion, or the rate is not above 0.
+            MotionError: the part contains no sample time, or the rate is not above 0.
         """
         if not (np.isfinite(rate) and rate > 0):
             raise MotionError(
@@ -281,13 +280,13 @@ class Motion:
             frames = self.joint_pos[part], self.root_pos[part], self.root_quat_wxyz[part]
             spline = Spline(self.fps, *frames)
             times = np.arange(numbers.start, numbers.stop) / rate - lowest / self.fps
-            # Rounding must not put the last sample behind the end, where the spline rests.
+            # Rounding must not move the last sample past the end, where the spline rests.
             yield numbers, spline.sample_many(np.minimum(times, spline.duration))
 
     def resample(self, fps: float) -> Motion:
         """The motion at another frame rate: the spline of `Trajectory` at the times i / fps.
 
-        It starts at the first frame and ends at or less than 1 / fps before the last one.
+        It starts at the first frame and ends less than 1 / fps before the last frame, or at it.
 
         Raises:
             MotionError: `fps` is not positive, or leaves fewer than two frames.
@@ -302,16 +301,16 @@ class Motion:
         )
 
     def trim(self, start: float = 0.0, end: float | None = None) -> Motion:
-        """The part between two times, s, to the nearest frame; to the last frame if `end` is None.
+        """The part between two times, s, to the nearest frame. `end` is the last frame if None.
 
         Raises:
-            MotionError: these are not two frames or more of this motion.
+            MotionError: the part is outside the motion or has fewer than two frames.
         """
         last = self.duration if end is None else end
         margin = 0.5 / self.fps
         if not (-margin < start and last < self.duration + margin and last - start > margin):
             raise MotionError(
-                f"{self.name} has no part from {start:g} to {last:g} s; it takes "
+                f"{self.name} has no part from {start:g} to {last:g} s; its duration is "
                 f"{self.duration:.2f} s.",
                 f"Give a start and an end from 0 to {self.duration:.2f} s, two frames or more "
                 "apart.",
@@ -322,9 +321,9 @@ class Motion:
         return replace(part, operations=(*self.operations, done))
 
     def mirrored(self) -> Motion:
-        """The mirror image across the world's x-z plane: left is right.
+        """The mirror image across the world's x-z plane, which swaps left and right.
 
-        Bodies are where the mirror image puts them, to the 0.1 mm to which the URDF is symmetric.
+        Bodies are within 0.1 mm of the exact mirror image, as the URDF is not exactly symmetric.
         """
         return self._changed(
             "mirrored",
@@ -334,7 +333,7 @@ class Motion:
         )
 
     def at_speed(self, factor: float) -> Motion:
-        """The same frames, `factor` times as many per second.
+        """The same frames at `factor` times the frame rate.
 
         Raises:
             MotionError: the factor is not positive.
@@ -347,7 +346,7 @@ class Motion:
         return self._changed(f"at {factor:g} times its speed", fps=self.fps * factor)
 
     def fixed_root(self) -> Motion:
-        """The motion with the pelvis where it is, and as it is turned, in the first frame."""
+        """The motion with the pelvis's pose fixed to that of the first frame."""
         return self._changed(
             "pelvis fixed as in the first frame",
             root_pos=np.broadcast_to(self.root_pos[0], self.root_pos.shape),
@@ -355,23 +354,23 @@ class Motion:
         )
 
     def on_floor(self, robot: G1 | None = None) -> Motion:
-        """The motion raised or lowered as a whole until the feet that stand are on the floor.
+        """Raise or lower the whole motion until the standing feet are on the floor.
 
-        The floor is at height 0. The feet stand at the median height of the lower sole, over the
-        frames in which its lowest corner is slower than 0.25 m/s.
+        The floor is at height 0. The height of the feet is the median height of the lower sole,
+        over the frames in which its lowest corner is slower than 0.25 m/s.
 
         Args:
-            robot: whose soles stand; the default G1 if None.
+            robot: robot with the soles; the default G1 if None.
 
         Raises:
-            MotionError: no foot stands in it.
+            MotionError: no foot stands in the motion.
             RobotError: the robot's soles are not known.
         """
         height = height_of_floor(self, robot or G1.default())
         if height is None:
             raise MotionError(
                 f"{self.name} cannot be put on the floor: no foot stands in it.",
-                "Leave it where it is.",
+                "Use it without this change.",
             )
         way = "raised" if height < 0 else "lowered"
         return self._changed(
@@ -380,22 +379,22 @@ class Motion:
         )
 
     def then(self, other: Motion, blend: float = 0.5) -> Motion:
-        """The motion, a blend, and another motion.
+        """Join this motion, a blend and another motion.
 
-        All frames of both are kept, at the higher frame rate of the two. The other motion is turned
-        to the heading in which this one ends, and goes on from where it ends; height and tilt stay
-        as they are. In the blend each joint coasts out of its last velocity, moves on a
-        minimum-jerk path and is brought up to its first velocity, so that a `Trajectory` through it
-        is smooth (C2). A blend that is too short for the way is too fast for the joints, as
-        `g1stream motion` says and `stream` refuses.
+        All frames of both are kept, at the higher of the two frame rates. The other motion is
+        turned and moved to continue with the heading and the place at the end of this one. Its
+        height and tilt do not change. In the blend each joint coasts from its last velocity, moves
+        on a minimum-jerk path and accelerates to its first velocity, so that a `Trajectory` through
+        it is smooth (C2). If the blend is too short for the distance, the joints are too fast:
+        `g1stream motion` reports this and `stream` refuses it.
 
         Args:
-            other: what comes next.
-            blend: seconds from the last frame of this to the first one of the other; one frame if
-                0.
+            other: the next motion.
+            blend: time from the last frame of this motion to the first frame of the other, s; one
+                frame if 0.
 
         Raises:
-            MotionError: the blend is negative or longer than a minute.
+            MotionError: the blend is negative or longer than 60 s.
         """
         if not 0.0 <= blend <= _LONGEST_BLEND:
             raise MotionError(
@@ -410,7 +409,7 @@ class Motion:
         linear, quat = [first._linear], [first.root_quat_wxyz]
         if n_steps > 1:
             coasting = np.full(N_JOINTS + 3, COAST)
-            coasting[N_JOINTS : N_JOINTS + 2] = n_steps / fps  # over the ground it keeps on going
+            coasting[N_JOINTS : N_JOINTS + 2] = n_steps / fps  # travel over the ground continues
             path, turned = blend_frames(
                 (first._linear[-2:], second._linear[:2]),
                 (first.root_quat_wxyz[-2:], second.root_quat_wxyz[:2]),
@@ -435,19 +434,19 @@ class Motion:
         )
 
     def looped(self, n: int, blend: float = 0.5) -> Motion:
-        """The motion `n` times, one after the other as by `then`.
+        """The motion `n` times, joined as by `then`.
 
         Raises:
-            MotionError: `n` is less than 1, that is too long, or the blend is not possible.
+            MotionError: `n` is less than 1 or the result is too long, or the blend is not possible.
         """
         if n < 1 or n * (self.n_frames + blend * self.fps) > _MOST_FRAMES:
             raise MotionError(
                 f"{self.name} cannot be repeated {n} times.",
-                f"Give a number from 1 on with which it has {_MOST_FRAMES} frames at most.",
+                f"Give a number of repetitions from 1 that makes {_MOST_FRAMES} frames at most.",
             )
         if n == 1:
             return self
-        # By doubling, as a motion is copied each time that another one follows.
+        # By doubling, because each `then` copies the whole motion.
         repeated, power, left = self, self, n - 1
         while left:
             if left % 2:
@@ -470,34 +469,34 @@ class Motion:
         robot: G1 | None = None,
         force: bool = False,
     ) -> Path:
-        """Write a file that `load_motion` reads back, ours or that of another program.
+        """Write a motion file of g1stream or of another program. `load_motion` reads it back.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
         motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
-        `root_quat_wxyz` of this class, `joint_names` and `fps`. Both are read back to the last bit.
+        `root_quat_wxyz` of this class, `joint_names` and `fps`. Both preserve every bit.
 
-        The formats of other programs have their frame rate, to which the spline of `Trajectory` is
-        sampled, and their orders; docs/formats.md says which.
+        The formats of other programs have their own orders and their own frame rate, at which the
+        spline of `Trajectory` is sampled. docs/formats.md lists them.
 
         Args:
             path: ends in .csv or .npz; in .pkl for `gmr`, and for `sonic` it is a directory.
-            format: of another program; by the ending of the path if None.
-            velocities: that the formats for training have.
-            robot: whose bodies these have; the default G1 if None.
-            force: replace a file that exists.
+            format: format of another program; by the suffix of the path if None.
+            velocities: how velocities are computed in training formats.
+            robot: robot with the bodies in training formats; the default G1 if None.
+            force: replace an existing file.
 
         Raises:
-            ConfigError: the path has another ending than files of the format.
-            MotionError: the path has another ending, or the format cannot hold the motion.
+            ConfigError: the path does not have the suffix of the format.
+            MotionError: the path has an unknown suffix, or the format cannot hold the motion.
             RobotError: the format cannot hold the robot.
-            RecordingError: the file exists, is the one the motion came from, or cannot be written.
+            RecordingError: the file exists, is the motion's source, or cannot be written.
         """
         path = Path(path)
         if format is None and path.suffix.lower() not in MOTION_SUFFIXES:
             raise MotionError(
                 f"A motion cannot be saved as {path.name}.",
-                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}, or a format.",
+                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}, or give a format.",
             )
         load_object("g1stream.motion.writers:write_motion")(
             self,
@@ -510,7 +509,7 @@ class Motion:
         return path
 
     def _changed(self, what: str, **fields: Any) -> Motion:
-        """The motion with other fields; `what` says what was done."""
+        """The motion with other fields; `what` describes the change."""
         return replace(self, operations=(*self.operations, what), **fields)
 
     @property
@@ -525,7 +524,7 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        if not (values.min() >= -NUMBER and values.max() <= NUMBER):  # NaN is neither
+        if not (values.min() >= -NUMBER and values.max() <= NUMBER):  # False for NaN
             frame, column = np.argwhere(~(np.abs(values) <= NUMBER))[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
@@ -535,9 +534,9 @@ class Motion:
 
 
 def height_of_floor(motion: Motion, robot: G1) -> float | None:
-    """How high the floor is on which the feet of a motion stand, m; None where none stands.
+    """Height of the floor on which the feet of a motion stand, m; None if none stands.
 
-    See `Motion.on_floor`: a foot that was retargeted slides a little.
+    See `Motion.on_floor`. A retargeted foot slides slightly while it stands.
 
     Raises:
         RobotError: the robot's soles are not known.
@@ -560,14 +559,14 @@ def check_fps(fps: float, name: str) -> None:
 
 
 def norm_warning(norms: Floats, where: str) -> list[str]:
-    """A warning about quaternion norms (T,) that are not 1, or nothing; `where` is the furthest."""
+    """A list with a warning about quaternion norms (T,) that are not 1, or empty."""
     off = np.abs(norms - 1.0)
     if off.max() <= _NORM_TOLERANCE:
         return []
-    doubt = "; that is no rounding error, check the file" if off.max() > _NORM_ROUNDING else ""
+    doubt = "; this is not a rounding error, check the file" if off.max() > _NORM_ROUNDING else ""
     return [
-        f"normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, which were "
-        f"not unit. Furthest off is {where}, with norm {norms[int(off.argmax())]:.4g}{doubt}."
+        f"normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions. "
+        f"The worst is {where}, with norm {norms[int(off.argmax())]:.4g}{doubt}."
     ]
 
 
@@ -579,16 +578,16 @@ def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:
             f"The joint names of the motion {name} are not those of the 29 joints: "
             f"{len(joint_names)} names, missing {', '.join(missing) or 'none'}, unknown "
             f"{', '.join(wrong) or 'none'}.",
-            "Name each of the joints in g1stream.JOINT_NAMES once.",
+            "Give each of the joints in g1stream.JOINT_NAMES once.",
         )
 
 
 def _continued(first: Motion, second: Motion, seconds: float) -> Motion:
-    """The second motion moved and turned over the ground to where the first one leads.
+    """The second motion, moved and turned on the ground so that it continues the first one.
 
-    Its heading is that in which the first one ends. Its place is where the pelvis gets to within
-    the time between them at the mean of its velocities on either side; where it rests on both
-    sides, that is where the first one ends.
+    Its heading is the one at the end of the first motion. Its place is where the pelvis gets in the
+    time between them, at the mean of the velocities on either side. If it rests on both sides, that
+    is where the first one ends.
     """
     turn = yaw_of(first.root_quat_wxyz[-1]) - yaw_of(second.root_quat_wxyz[0])
     turned = quat_from_yaw(turn)

@@ -1,8 +1,8 @@
-"""Arrays in plain containers from pickles and files of PyTorch; nothing in them is run.
+"""Arrays in plain containers from pickles and PyTorch files. Nothing in them is executed.
 
-Numbers, texts, lists, tuples, dicts, arrays and tensors are read. What these are made with has
-stand-ins here, and anything else is left out as `Unread`. numpy's own functions are not called:
-they would allocate whatever a file claims.
+Numbers, strings, lists, tuples, dicts, arrays and tensors are read. Their constructors are
+replaced by the classes here; anything else becomes an `Unread`. numpy's own functions are not
+called, because they would allocate whatever size a file claims.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Unread", "read_pickle", "read_torch"]
 
-#: How deep arrays are in containers; bytes that a value in one, or a kind of object, counts as.
+#: Deepest nesting of arrays in containers; bytes counted for a value in one or for a type.
 _DEPTH: Final = 4
 _VALUE: Final = UNPACKED // PICKLE_VALUES
 _KIND: Final = UNPACKED // 1000
-#: The types of numbers and texts that arrays may have; texts may be Python objects.
+#: The types of numbers and strings in arrays; strings may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 _STORAGES: Final = {
     "DoubleStorage": "<f8",
@@ -47,19 +47,19 @@ _STORAGES: Final = {
 
 @dataclass(frozen=True)
 class Unread:
-    """Stands for a value of another kind, such as an enum; `name` is that of its class."""
+    """A value of an unsupported type, such as an enum. `name` is the name of its class."""
 
     name: str
 
 
 def read_pickle(data: bytes) -> Any:
-    """What is in a pickle or a file of joblib, plain or compressed with zlib or gzip.
+    """The content of a pickle or a joblib file, plain or compressed with zlib or gzip.
 
     Raises:
-        ValueError: it is damaged or larger than 512 MiB unpacked.
+        ValueError: it is damaged, or larger than 512 MiB unpacked.
     """
     if data[:1] != pickle.PROTO:
-        decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
+        decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # detects zlib and gzip
         try:
             data = decompressor.decompress(data, UNPACKED)
         except zlib.error as error:
@@ -70,10 +70,10 @@ def read_pickle(data: bytes) -> Any:
 
 
 def read_torch(members: Mapping[str, bytes]) -> Any:
-    """What is in a file of `torch.save`, tensors as arrays. PyTorch is not needed.
+    """The content of a file of `torch.save`, with tensors as arrays, without PyTorch.
 
     Args:
-        members: the files in its ZIP, by name: a pickle, `data.pkl`, and numbers for each storage.
+        members: the files in its ZIP, by name: a pickle `data.pkl`, and a file per storage.
 
     Raises:
         ValueError: as `read_pickle`.
@@ -91,11 +91,11 @@ def _too_large() -> ValueError:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Finds the stand-ins alone.
+    """An unpickler that only finds the replacement classes.
 
     Args:
-        data: of the pickle.
-        numbers: those of each storage of PyTorch, by its key.
+        data: the pickle.
+        numbers: the data of each PyTorch storage, by its key.
     """
 
     def __init__(self, data: bytes, numbers: Mapping[str, bytes] | None = None) -> None:
@@ -109,7 +109,7 @@ class _Unpickler(pickle.Unpickler):
             return self._plain(self.load())
         except ValueError:
             raise
-        except Exception as error:  # a damaged pickle raises whatever its last operation raises
+        except Exception as error:  # any error that its last operation may raise
             raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
 
     def find_class(self, module: str, name: str) -> Any:
@@ -117,24 +117,24 @@ class _Unpickler(pickle.Unpickler):
         if key not in self._classes:
             self.charge(_KIND)
             stand_in = _Storage if module == "torch" and name in _STORAGES else _Other
-            # Classes of its own, as a pickle may set attributes of what it finds.
+            # New classes each time, because a pickle may set attributes on them.
             members = {"source": self, "full_name": f"{module}.{name}"}
             self._classes[key] = type(name, (_STAND_INS.get(key, stand_in),), members)
         return self._classes[key]
 
     def persistent_load(self, pid: Any) -> NDArray[Any]:
-        """A storage."""
+        """Return a storage by its id."""
         _, kind, key, *_ = pid
         return np.frombuffer(self._numbers[key], _STORAGES[kind.__name__])
 
     def charge(self, size: int) -> None:
-        """Count bytes that are made: a small pickle may ask for the same ones again and again."""
+        """Count allocated bytes, because a small pickle may request the same ones many times."""
         self._left -= size
         if self._left < 0:
             raise _too_large()
 
     def _plain(self, value: Any, depth: int = 0) -> Any:
-        """Arrays in the place of what stands for them, down to lists in a dict of dicts."""
+        """Replace the stand-ins by arrays, in lists within a dict of dicts at most."""
         self.charge(_VALUE)
         if isinstance(value, _Array):
             return value.values
@@ -149,7 +149,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _StandIn:
-    """Stands for a class or a function that a pickle names; `source` is the unpickler."""
+    """Replaces a class or a function that a pickle names. `source` is the unpickler."""
 
     source: _Unpickler
     full_name: str
@@ -160,7 +160,7 @@ class _StandIn:
 class _Dtype(_StandIn):
     def __init__(self, name: str = "", *_: Any) -> None:
         if not isinstance(name, str) or not _DTYPE.fullmatch(name):
-            raise ValueError(f"it has an array of the type {name!r:.40}")
+            raise ValueError(f"it has an array with the type {name!r:.40}")
         self.numpy = np.dtype(name)
 
     def __setstate__(self, state: Any) -> None:
@@ -169,7 +169,7 @@ class _Dtype(_StandIn):
 
 
 class _Array(_StandIn):
-    """An array, empty until its content is known; a list where it has texts as Python objects."""
+    """An array, empty until its content is set; a list of strings if they are Python objects."""
 
     values: Any = np.empty(0)
 
@@ -193,7 +193,7 @@ class _ArrayOfBuffer(_Array):
 
 
 class _JoblibArray(_Array):
-    """An array that joblib has written behind the description of it."""
+    """An array that joblib wrote behind its description."""
 
     def __setstate__(self, state: Any) -> None:
         shape, dtype, file = state["shape"], state["dtype"], self.source.file
@@ -204,7 +204,7 @@ class _JoblibArray(_Array):
 
 
 class _Tensor(_Array):
-    """Numbers of a storage from an offset on; strides are in numbers."""
+    """Numbers from a storage, with an offset and strides in numbers."""
 
     def __init__(
         self, storage: NDArray[Any], offset: int, shape: Any, strides: Any, *_: Any
@@ -213,18 +213,18 @@ class _Tensor(_Array):
         last = offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
         if offset < 0 or min((*shape, *strides, 0)) < 0 or (prod(shape) and last >= len(storage)):
             raise ValueError("it has a tensor beyond its storage")
-        if prod(shape) > max(len(storage), 1):  # steps of zero repeat numbers without end
+        if prod(shape) > max(len(storage), 1):  # strides of zero could repeat numbers without limit
             raise ValueError("it has a tensor that is larger than its storage")
         steps = [stride * storage.itemsize for stride in strides]
         self.values = np.lib.stride_tricks.as_strided(storage[offset:], shape, steps)
 
 
 class _Storage(_StandIn):
-    """The type of a storage of PyTorch."""
+    """The type of a PyTorch storage."""
 
 
 class _Other(_StandIn):
-    """What is not read; nothing of it is run."""
+    """An unsupported type. Nothing of it is executed."""
 
     def __init__(self, *_: Any, **__: Any) -> None: ...
 
@@ -240,7 +240,7 @@ class _Scalar(_StandIn):
 
 
 class _Encoded(_StandIn):
-    """Bytes as protocol 2 writes them."""
+    """Bytes in the form of pickle protocol 2."""
 
     def __new__(cls, text: str, _encoding: str) -> Any:
         cls.source.charge(len(text))

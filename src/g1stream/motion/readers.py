@@ -1,6 +1,6 @@
-"""Motion files: what reads each format, and what a file turns out to have.
+"""Motion files: detection of the format, its reader, and the evidence about the file.
 
-A format is one file with its reader, and one row of `FORMATS`.
+To add a format, add one file with its reader, and one row to `FORMATS`.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ __all__ = [
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
 
-#: How a file begins that Git LFS has left in the place of another.
+#: The start of a file that Git LFS has replaced by a pointer.
 _LFS: Final = b"version https://git-lfs"
-#: Files that zlib or gzip has compressed.
+#: The start of files compressed with zlib or gzip.
 _COMPRESSED: Final = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
 _ARRAYS: Final = "g1stream.motion.arrays:open_arrays"
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a file has, and what it was taken for.
+    """The content of a file, and its interpretation.
 
     Attributes:
-        used: by subject, such as `joint order`, what in the file says it, and why.
-        assumed: by subject, what was taken where the file does not say it.
-        not_used: joints, columns and arrays of the file that are left out.
-        missing: joints that the file lacks, and that stay at 0.
+        used: by subject, such as `joint order`: the interpretation, and its source in the file.
+        assumed: by subject: assumptions about what the file does not specify.
+        not_used: unused joints, columns and arrays of the file.
+        missing: joints that the file lacks; they stay at 0.
     """
 
     used: Mapping[str, str]
@@ -64,14 +64,14 @@ class Evidence:
 
 
 class MotionReader(Protocol):
-    """A motion file that is open. It is made from a `MotionFile`, and may refuse it.
+    """An open motion file. Its constructor takes a `MotionFile`, and may raise.
 
-    Both members raise MotionError, or RecordingError if it is a recording, where the file is wrong.
+    Both members raise MotionError, or RecordingError for a recording, if the file is wrong.
     """
 
     @property
     def evidence(self) -> Evidence:
-        """What the file has."""
+        """The content of the file, and its interpretation."""
 
     def motion(self) -> Motion:
         """The motion, its joints in motor order."""
@@ -79,15 +79,15 @@ class MotionReader(Protocol):
 
 @dataclass(frozen=True)
 class MotionFile:
-    """A file, and how it is to be read.
+    """A file, and the options for reading it.
 
     Attributes:
-        path: where it is, for messages.
-        fps: frames per second; what the file says if None.
-        joint_order: of the joints, where the file does not name them; told by evidence if None.
-        member: the name of the motion, in a file of several.
-        robot: that plays it; where it has fewer joints, too, no warning names those in the file.
-        data: its content, where that is not at the path.
+        path: its path, also for messages.
+        fps: frames per second; the file's if None.
+        joint_order: joint order if the file does not name joints; detected by evidence if None.
+        member: name of the motion, in a file of several.
+        robot: robot that plays it. No warning names joints that both the file and it lack.
+        data: the content, if it is not at the path.
     """
 
     path: Path
@@ -99,7 +99,7 @@ class MotionFile:
 
     @cached_property
     def content(self) -> bytes:
-        """All of it.
+        """The whole content.
 
         Raises:
             MotionError: it cannot be read, or is a pointer of Git LFS.
@@ -110,8 +110,8 @@ class MotionFile:
             content = read_file(self.path, MOTION_FILE)
         except IsADirectoryError:
             raise MotionError(
-                f"{self.path} is a directory, and no bag or session: it has no metadata.yaml.",
-                "Give a motion file in it.",
+                f"{self.path} is a directory without metadata.yaml: neither a bag nor a session.",
+                "Give a motion file in the directory.",
             ) from None
         except FileNotFoundError:
             raise MotionError(
@@ -122,7 +122,7 @@ class MotionFile:
         except OSError as error:
             raise MotionError(
                 f"The motion file {self.path} cannot be read: {error.strerror}.",
-                "Give the path of a file that you may read; save what comes from a pipe first.",
+                "Give the path of a readable file; save data from a pipe to a file first.",
             ) from None
         if content.startswith(_LFS):
             raise MotionError(
@@ -133,16 +133,16 @@ class MotionFile:
 
     @property
     def sha256(self) -> str:
-        """Of the content, in hex."""
+        """SHA-256 of the content, in hex."""
         return hashlib.sha256(self.content).hexdigest()
 
     def open(self) -> MotionReader:
-        """The reader of its format.
+        """Open the file with the reader of its format.
 
         Raises:
-            MotionError: it cannot be read, is empty, or of no format that is read.
+            MotionError: it cannot be read, is empty, or has no supported format.
             RecordingError: it is a damaged recording.
-            ConfigError: an extra that reads it is not installed.
+            ConfigError: the extra that reads it is not installed.
         """
         if self.fps is not None:
             check_fps(self.fps, self.path.stem)
@@ -151,12 +151,12 @@ class MotionFile:
                 if self.member is not None and not one.several:
                     raise MotionError(
                         f"{self.path.name} is not a file of several motions.",
-                        f"Give {self.path} alone.",
+                        f"Give {self.path} without a name.",
                     )
                 reader: MotionReader = load_object(one.reader)(self)
                 return reader
         raise MotionError(
-            f"{self.path.name} is in no format that is read.",
+            f"{self.path.name} has no supported format.",
             f"Give a {', '.join(one.name for one in FORMATS)}: docs/formats.md says with which "
             "content.",
         )
@@ -166,11 +166,11 @@ class Format(NamedTuple):
     """A format of motion files.
 
     Attributes:
-        name: of it, for messages.
-        reader: what makes a `MotionReader` of a `MotionFile`: a module and a name in it, which is
-            imported when a file has this format.
-        matches: whether a file has this format, if it has none of those before.
-        several: a file has several motions, or may have.
+        name: its name, for messages.
+        reader: makes a `MotionReader` from a `MotionFile`: module and name, imported when a file
+            has this format.
+        matches: whether a file has this format, if no earlier format matches.
+        several: files of this format may have several motions.
     """
 
     name: str
@@ -188,16 +188,16 @@ def _is_recording(file: MotionFile) -> bool:
 
 
 def _is_bag(file: MotionFile) -> bool:
-    """Whether it is one in SQLite, or compressed as a whole."""
+    """Whether a file is a bag in SQLite, or compressed as a whole."""
     starts = (b"SQLite format 3\0", b"\x28\xb5\x2f\xfd")
     return file.data is None and any(begins_with(file.path, start) for start in starts)
 
 
 def is_sonic(path: Path) -> bool:
-    """Whether it is a directory with the tables of SONIC; False if it cannot be read."""
+    """Whether a path is a directory with SONIC's tables; False if it cannot be read."""
     try:
         return (path / "joint_pos.csv").is_file()
-    except OSError:  # a name that is too long
+    except OSError:  # for example, the name is too long
         return False
 
 
@@ -206,7 +206,7 @@ def _is_onnx(file: MotionFile) -> bool:
 
 
 def _is_table(file: MotionFile) -> bool:
-    """Whether it says that it is a table, or its first line looks like one; an empty file is."""
+    """Whether a file has a table's suffix, a first line like a table's, or is empty."""
     named = file.path.suffix.lower() in (".csv", ".txt")
     first = file.content[:CSV_LINE].split(b"\n", 1)[0]
     return named or b"," in first or not first
@@ -226,7 +226,7 @@ FORMATS: Final = (
     Format("policy that holds its motion (ONNX)", EXTENSIONS["read_policy"], _is_onnx),
     Format("CSV", "g1stream.motion.arrays:open_table", _is_table),
 )
-"""The formats that are read."""
+"""The supported formats for reading."""
 
 
 def find_motion(
@@ -236,12 +236,12 @@ def find_motion(
     joint_order: JointOrder | None = None,
     robot: G1 | None = None,
 ) -> MotionFile:
-    """A motion file; arguments are those of `load_motion`."""
+    """Find a motion file; the arguments are those of `load_motion`."""
     path, member = Path(path_or_name), None
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
     text = str(path)
-    with suppress(OSError):  # a name that is too long
+    with suppress(OSError):  # for example, the name is too long
         for at in (i for i, character in enumerate(text) if character == ":"):
             if Path(text[:at]).is_file() and not path.exists():
                 path, member = Path(text[:at]), text[at + 1 :]
@@ -259,24 +259,23 @@ def load_motion(
     """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
 
     Args:
-        path_or_name: a file of one of the formats in docs/formats.md, followed by `:NAME` for a
-            motion in a file of several; a session file, whose motion is the reference that was
-            played; a bag with joint states; or the name of a bundled motion.
-        fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
-            cannot. A session is sampled at it, at the rate of its reference if None.
-        joint_order: of the joints where a file does not name them. If None, bodies and joint limits
-            decide; where they leave a choice, a CSV file is taken to be in motor order.
-        robot: that plays it; no warning says that the file lacks joints that the robot lacks, too.
+        path_or_name: a file in a format of docs/formats.md, followed by `:NAME` for a motion in a
+            file of several; a session file, whose reference is the motion; a bag with joint states;
+            or the name of a bundled motion.
+        fps: frames per second. If None, the file's, or 30 if it has none (a CSV never has one).
+            A session is sampled at this rate, by default the rate of its reference.
+        joint_order: joint order if the file does not name joints. If None, bodies and joint limits
+            decide; if both orders fit, a CSV file is in motor order.
+        robot: robot that plays it. No warning names joints that both the file and it lack.
 
     Returns:
-        The motion, its joints in motor order whatever the order in the file, its quaternions unit.
-        `Motion.warnings` say what is not used, filled in or corrected.
+        The motion, with its joints in motor order and unit quaternions. `Motion.warnings` lists
+        what was not used, filled in or corrected.
 
     Raises:
-        MotionError: there is no such file, something in it is wrong, or the order of the joints
-            cannot be told.
+        MotionError: there is no such file, its content is wrong, or the joint order is ambiguous.
         RecordingError: the session is damaged, or no motion was played in it.
-        ConfigError: an extra that reads it is not installed.
+        ConfigError: the extra that reads it is not installed.
     """
     file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
     return file.open().motion()

@@ -1,14 +1,14 @@
 """A smooth function of time through frames at a constant rate: the pose and its derivatives.
 
-Joints and root position are natural cubic splines through the frames; the root's orientation
-has, from each frame to the next, a rotation vector that is a cubic in time (K. S. Park and B.
-Ravani, "Smooth invariant interpolation of rotations", 1997, as SciPy's `RotationSpline` has it).
-Position, velocity and acceleration are continuous (C2).
+Joints and root position are natural cubic splines through the frames. The orientation of the root
+is a rotation vector from each frame to the next that is a cubic in time (K. S. Park and B. Ravani,
+"Smooth invariant interpolation of rotations", 1997, as in SciPy's `RotationSpline`). Position,
+velocity and acceleration are continuous (C2).
 
-Natural boundary conditions: of all curves through the frames this one has the least curvature, and
-it starts and ends without acceleration. Its end velocities are those of the first and last frames,
-neither extrapolated (not-a-knot) nor forced to zero (clamped): a motion that starts at rest stays
-at rest, and a clip cut out of a movement starts with the velocity of that movement.
+The boundary conditions are natural. This curve has the least curvature of all curves through the
+frames, and it starts and ends without acceleration. Its end velocities are those of the first and
+last frames, neither extrapolated (not-a-knot) nor forced to zero (clamped). So a motion that starts
+at rest stays at rest, and a clip starts with the velocity of the original movement.
 
 All coefficients are in one array, so that a sample is one small matrix product.
 """
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 __all__ = ["REACH", "Spline", "TrajectoryPoint"]
 
 REACH: Final = 32
-"""Frames on either side that a part of a spline is fitted through as well: the influence of a frame
-falls by a factor of 3.7 per frame, and beyond 32 nothing is left of it in float64."""
+"""Number of frames on either side that a part of a spline is also fitted through. The influence of
+a frame falls by a factor of 3.7 per frame, and is below the precision of float64 beyond 32."""
 
 # The exponential map of rotations and its derivatives need functions such as (1 - cos a) / a**2.
-# As power series in a**2 they have no special case at 0; the angle between two frames is at most
-# half a turn, or a little more within, for which 15 terms are exact in float64.
+# Power series in a**2 have no special case at 0. The angle between two frames is at most half a
+# turn, or slightly more in between, for which 15 terms are exact in float64.
 _TERMS: Final = range(15)
 _VERSINE: Final = tuple((-1) ** k / factorial(2 * k + 2) for k in _TERMS)  # (1 - cos a) / a**2
 _SINE_GAP: Final = tuple((-1) ** k / factorial(2 * k + 3) for k in _TERMS)  # (a - sin a) / a**3
@@ -51,7 +51,7 @@ _HALF_SINC: Final = tuple((-0.25) ** k / factorial(2 * k + 1) / 2 for k in _TERM
 
 
 class TrajectoryPoint(NamedTuple):
-    """The reference at one time, or at N times: then every array has N rows.
+    """The reference at one time, or at N times. Then every array has N rows.
 
     Attributes:
         joint_pos: (J,) rad, in the order of the motion's joint names.
@@ -60,8 +60,8 @@ class TrajectoryPoint(NamedTuple):
         root_pos: (3,) pelvis in the world frame, m.
         root_lin_vel: (3,) in the world frame, m/s.
         root_lin_acc: (3,) in the world frame, m/s^2, without gravity.
-        root_quat_wxyz: (4,) pelvis in the world frame, unit. Its sign is continuous, except where a
-            loop starts again that has turned the root once around.
+        root_quat_wxyz: (4,) pelvis in the world frame, unit. Its sign is continuous, except at the
+            restart of a loop that has turned the root by a full turn.
         root_ang_vel: (3,) in the pelvis frame (as a gyroscope measures it), rad/s.
         root_ang_acc: (3,) time derivative of `root_ang_vel`, in the pelvis frame, rad/s^2.
     """
@@ -80,7 +80,7 @@ class TrajectoryPoint(NamedTuple):
 class Spline:
     """A spline that can be sampled at any time, in seconds from frame 0.
 
-    Before the first frame and after the last it rests: the position of that frame, no velocity, no
+    Before the first frame and after the last it rests at that frame, without velocity and
     acceleration. With `loop` it repeats without end: after the last frame a seam (see
     `blend.seam_frames`) leads back to frame 0, also C2.
 
@@ -131,7 +131,7 @@ class Spline:
         self._coefficients = np.concatenate([fitted, self._coefficients[..., -3:]], axis=-1)
 
     def sample(self, t: float) -> TrajectoryPoint:
-        """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
+        """The reference at time `t`, s. It takes about 20 us, for use in a control loop."""
         inside = t >= 0 if self.loop else 0 <= t <= self.period
         t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
         k = min(int(t * self.fps), self._n_segments - 1)
@@ -163,7 +163,7 @@ class Spline:
     def sample_joints(self, times: ArrayLike) -> tuple[Floats, Floats]:
         """Joint positions, rad, and velocities, rad/s, at times (N,), s: (N, 29) each.
 
-        Those of `sample_many` in half the time.
+        Same as `sample_many`, in half the time.
         """
         inside, k, s = self._segments(times)
         basis = np.zeros((len(s), 2, 4))
@@ -174,7 +174,7 @@ class Spline:
         return value[:, 0], value[:, 1]
 
     def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
-        """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
+        """For times (N,): whether the trajectory moves, the segment, and the time in it, s."""
         t = np.asarray(times, dtype=np.float64)
         inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
         t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
@@ -183,7 +183,7 @@ class Spline:
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
         joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]
-        # By index, because unpacking an array takes 1 us more, of every tick.
+        # By index, because unpacking an array takes 1 us longer in every tick.
         return TrajectoryPoint(
             joints[0], joints[1], joints[2], root[0], root[1], root[2], *rotation
         )
@@ -193,10 +193,10 @@ def _in_parts(fit: Callable[..., Floats], fps: float, *frames: Floats) -> Floats
     """Cubics between frames, coefficients (T - 1, 4, D), the highest power first.
 
     Args:
-        fit: makes these of some frames, (4, T - 1, D); many at once are too large for the caches
-            of a processor.
+        fit: computes the coefficients of some frames, (4, T - 1, D). Many frames at once do not fit
+            into the processor's caches.
         fps: frames per second.
-        frames: arrays (T, ...) that `fit` is called with.
+        frames: arrays (T, ...) that are passed to `fit`.
     """
     n_segments, cubics = len(frames[0]) - 1, np.empty(0)
     for first in range(0, n_segments, BLOCK):
@@ -237,7 +237,7 @@ def _fit_linear(fps: float, *linear: Floats) -> Floats:
     return in_seconds
 
 
-#: Rounds in which the rates of a rotation spline are found, and how near two are at the end.
+#: Most iterations for the rates of a rotation spline, and the final difference of two of them.
 _ROUNDS: Final = 20
 _NEAR: Final = 1e-13
 
@@ -246,11 +246,11 @@ def _fit_rotation(fps: float, quat: Floats) -> Floats:
     """The cubic rotation vectors between frames (T, 4) wxyz: coefficients (4, T - 1, 3).
 
     The angular velocities w at the frames make the angular acceleration continuous. Those of the
-    first and the last frame are the mean ones of their segments. With a step of 1, the turns r from
+    first and the last frame are the means of their segments. With a step of 1, the rotations r from
     frame to frame, the right Jacobian J(r) of SO(3), its inverse K(r), and the part n of the
     acceleration that is not linear in w, they fulfil
     J(r[i-1]) w[i-1] + 4 w[i] + K(r[i]) w[i+1] = 3 (r[i-1] + r[i]) - n / 2.
-    n follows from w, so that this is solved in rounds.
+    Because n depends on w, this is solved iteratively.
     """
     turns = _logarithm(quat_mul(quat_conj(quat[:-1]), quat[1:]))
     jacobian = _right_jacobian(turns)
@@ -284,14 +284,14 @@ def _logarithm(quat: Floats) -> Floats:
     """(N, 3) rotation vectors of quaternions (N, 4) wxyz, rad, of at most half a turn."""
     quat = np.copysign(1.0, quat[:, :1]) * quat
     sine = np.linalg.norm(quat[:, 1:], axis=1, keepdims=True)
-    tiny = sine < 1e-8  # there the angle is twice its half's sine, to the last digit
+    tiny = sine < 1e-8  # the angle is then twice this sine, in float64
     factor = np.where(tiny, 2.0, 2.0 * np.arctan2(sine, quat[:, :1]) / np.where(tiny, 1.0, sine))
     vectors: Floats = factor * quat[:, 1:]
     return vectors
 
 
 def _right_jacobian(turns: Floats) -> Floats:
-    """(N, 3, 3) what makes angular velocities of the rates of rotation vectors (N, 3)."""
+    """(N, 3, 3) matrices from the rates of rotation vectors (N, 3) to angular velocities."""
     cross = np.cross(np.eye(3), turns[:, np.newaxis])  # [r]x of each
     angle2 = np.square(turns).sum(axis=1)[:, np.newaxis, np.newaxis]
     jacobian: Floats = (
@@ -301,14 +301,15 @@ def _right_jacobian(turns: Floats) -> Floats:
 
 
 def _tridiagonal_solver(lower: Floats, middle: Floats, upper: Floats) -> Callable[[Floats], Floats]:
-    """Solves lower[i] x[i-1] + middle[i] x[i] + upper[i] x[i+1] = y[i] for x (N, K, M) of y.
+    """Solver of lower[i] x[i-1] + middle[i] x[i] + upper[i] x[i+1] = y[i] for x (N, K, M) given y.
 
-    By cyclic reduction: every second unknown is expressed by its neighbours, which halves the
+    It uses cyclic reduction. Each step expresses every second unknown by its neighbours, all at
+    once, which halves the system. `lower[0]` and `upper[-1]` are not used.
     system, all at once. `lower[0]` and `upper[-1]` have no neighbour and are not used.
 
     Args:
         lower: (N, K, K).
-        middle: (N, K, K), large beside the other two.
+        middle: (N, K, K), large compared with the other two.
         upper: (N, K, K).
     """
     if len(middle) <= 1:

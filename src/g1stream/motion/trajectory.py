@@ -20,7 +20,7 @@ class Trajectory(Spline):
     leads from the last frame back to frame 0.
 
     Args:
-        motion: the frames to go through.
+        motion: the motion to interpolate.
         loop: whether to repeat it.
 
     Attributes:
@@ -35,7 +35,7 @@ class Trajectory(Spline):
         self.motion = motion
 
     def moved(self, motion: Motion) -> Trajectory:
-        """That of a motion that differs in joints and root positions only; it does not repeat."""
+        """The trajectory, without loop, of a motion with other joints and root positions."""
         if self.loop:
             return Trajectory(motion)
         other = copy(self)

@@ -1,7 +1,7 @@
-"""Motion files for others: what each format has, and what writes it.
+"""Writers of motion files for other programs, and their layouts.
 
-A format is one function and one row of `FORMATS`. docs/formats.md has the layouts in words; they
-are those of the programs that read the files.
+To add a format, add one function and one row to `FORMATS`. docs/formats.md describes the layouts,
+which the programs that read the files define.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "Format", "Take", "write_motion"]
 
-#: Differences of frames need one on either side.
+#: Central differences need one frame on either side.
 _FEWEST_FRAMES: Final = 3
-#: Numbers in text have six decimals, as those of LAFAN1 and of SONIC.
+#: Numbers in text have six decimals, as in LAFAN1 and SONIC.
 _DECIMALS: Final = 6
 _LARGEST_IN_TEXT: Final = 10_000
 #: Links of GMR's robot that a URDF lacks: the link that each is fixed to, and its origin there, m.
-#: `g1_mocap_29dof.xml` of GMR has these figures.
+#: The values are from `g1_mocap_29dof.xml` of GMR.
 _OF_GMR: Final = {
     "left_toe_link": ("left_ankle_roll_link", (0.1, 0.0, -0.02)),
     "right_toe_link": ("right_ankle_roll_link", (0.1, 0.0, -0.02)),
@@ -58,13 +58,13 @@ _SONIC_ARM: Final = ("shoulder_roll", "elbow", "wrist_yaw")
 
 
 class Layout(NamedTuple):
-    """Which joints and bodies a file has, in which order, and what the velocity of a body is.
+    """The joints and bodies of a file, their order, and the reference point of body velocities.
 
     Attributes:
-        order: of the joints; the bodies are the pelvis and the link of each joint, in this order.
-        of_centre: linear velocities are those of the bodies' centres of mass, as PhysX has them;
+        order: joint order. The bodies are the pelvis and the link of each joint, in this order.
+        of_centre: linear velocities are those of the bodies' centres of mass, as in PhysX;
             otherwise those of the origins of their frames.
-        bodies: the names of some of the bodies, in the file's order; all if empty.
+        bodies: names of the bodies in the file's order, if it has only some; otherwise empty.
     """
 
     order: JointOrder
@@ -76,10 +76,10 @@ class Format(NamedTuple):
     """A format of motion files.
 
     Attributes:
-        write: makes a file at a path, or what is in a directory.
-        suffix: of a file; "" for a directory.
-        fps: frames per second that its readers expect; None keeps the frames of the motion.
-        layout: of joints and bodies; None where a file has only joints and the pelvis.
+        write: writes a file, or a directory's content, at a path.
+        suffix: suffix of a file; "" for a directory.
+        fps: frame rate that its readers expect; None keeps the frames of the motion.
+        layout: joints and bodies; None if a file has only joints and the pelvis.
     """
 
     write: Callable[[Take, Path], None]
@@ -89,9 +89,9 @@ class Format(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """The frames of a file in double precision; a row is as in `TrajectoryPoint`.
+    """The frames of a file in double precision. The fields are those of `TrajectoryPoint`.
 
-    Its accelerations are not there, as no format has them.
+    There are no accelerations, because no format has them.
     """
 
     joint_pos: Floats
@@ -102,17 +102,17 @@ class Frames(NamedTuple):
     root_ang_vel: Floats
 
 
-#: Numbers in a row of each.
+#: Numbers in a row of each field.
 _WIDTHS: Final = (N_JOINTS, N_JOINTS, 3, 3, 4, 3)
 
 
 class States(NamedTuple):
-    """The motion of joints and bodies, as single precision, to which all readers convert.
+    """The motion of joints and bodies in single precision, to which all readers convert.
 
     Attributes:
         joint_pos: (T, 29) rad, in the order of the layout.
         joint_vel: (T, 29) rad/s.
-        root_lin_vel: (T, 3) m/s, of the pelvis's origin, world frame.
+        root_lin_vel: (T, 3) m/s, pelvis's origin, world frame.
         root_ang_vel: (T, 3) rad/s, pelvis frame.
         body_pos_w: (T, B, 3) m, world frame, origins.
         body_quat_w: (T, B, 4) wxyz, of continuous sign.
@@ -132,12 +132,12 @@ class States(NamedTuple):
 
 @dataclass(frozen=True)
 class Take:
-    """A motion that is written, and how.
+    """A motion and the options with which it is written.
 
     Attributes:
-        motion: as it is.
-        format: that is written.
-        robot: whose bodies the file has.
+        motion: the motion in its own frames.
+        format: the format to write.
+        robot: the robot whose bodies the file has.
         velocities: derivatives of the spline, or differences of the frames.
         on_progress: called with the fraction done.
     """
@@ -150,7 +150,7 @@ class Take:
 
     @cached_property
     def frames(self) -> Frames:
-        """The frames of the file, from the spline through those of the motion."""
+        """The frames of the file, sampled from the spline through the motion's frames."""
         motion, fps = self.motion, self.format.fps
         assert fps
         n_at_most = int(motion.duration * fps) + 2
@@ -165,12 +165,12 @@ class Take:
 
     @property
     def n_frames(self) -> int:
-        """How many frames the file has."""
+        """Number of frames in the file."""
         return len(self.frames.joint_pos) if self.format.fps else self.motion.n_frames
 
     @property
     def layout(self) -> Layout:
-        """That of the format, which has one."""
+        """The layout of the format. It must have one."""
         assert self.format.layout
         return self.format.layout
 
@@ -184,7 +184,7 @@ class Take:
         """The robot's link of each body of the layout.
 
         Raises:
-            RobotError: the robot lacks one.
+            RobotError: the robot lacks a link.
         """
         if self.layout.bodies:
             return [self.robot.link_index(name) for name in self.layout.bodies]
@@ -210,7 +210,7 @@ class Take:
             rates = joint_vel[part], root_lin_vel[part], ang_vel
             velocities = link_velocities(self.robot, pose, *rates, links, points)
             for values, block in zip(bodies, (*pose, *velocities), strict=True):
-                # Links are first in memory.
+                # The arrays have the links on their first axis.
                 values[part] = block.transpose(1, 2, 0)[links].transpose(2, 0, 1)
             self.on_progress(part.stop / n_frames)
         single = (frames.joint_pos[:, self.joints], joint_vel[:, self.joints])
@@ -218,7 +218,7 @@ class Take:
         return States(*(one.astype(np.float32) for one in others), *bodies)
 
     def _rates(self) -> tuple[Floats, Floats, Floats]:
-        """Velocities of joints, of the pelvis in the world, and of its turn in its own frame."""
+        """Velocities of joints and pelvis (world frame), and angular velocity (pelvis frame)."""
         frames, fps = self.frames, self.format.fps
         quat = frames.root_quat_wxyz
         if self.velocities == "spline":
@@ -227,12 +227,12 @@ class Take:
         if self.n_frames < _FEWEST_FRAMES:
             raise MotionError(
                 f"{self.motion.name} has {counted(self.n_frames, 'frame')} at {fps:g} fps.",
-                f"Give {_FEWEST_FRAMES} or more, or leave out --velocities finite.",
+                f"Give {_FEWEST_FRAMES} frames or more, or remove --velocities finite.",
             )
         joints, root = (
             np.gradient(one, axis=0) * fps for one in (frames.joint_pos, frames.root_pos)
         )
-        turn = quat_mul(quat[2:], quat_conj(quat[:-2]))  # about the world's axes, in two frames
+        turn = quat_mul(quat[2:], quat_conj(quat[:-2]))  # over two frames, about the world's axes
         w, vector = turn[:, :1], turn[:, 1:]
         sine = np.linalg.norm(vector, axis=1, keepdims=True)
         angle = np.copysign(2.0 * np.arctan2(sine, np.abs(w)), w)
@@ -251,10 +251,10 @@ def write_motion(
     force: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Take:
-    """Write a motion in the format of this name; the rest is as of `Motion.save`.
+    """Write a motion in a format; the other arguments are those of `Motion.save`.
 
     Returns:
-        What was written.
+        The motion and options that were written.
     """
     form = FORMATS.get(name)
     if form is None:
@@ -271,37 +271,37 @@ def write_motion(
         place = complete_directory(path, SONIC_FILES, force=force)
     with place as temporary:
         form.write(take, temporary)
-        take.on_progress(1.0)  # which raises where it was told to stop
+        take.on_progress(1.0)  # raises if the program was told to stop
     return take
 
 
 def _check(take: Take, name: str) -> None:
-    """Check that a format can hold a motion and what is asked for."""
+    """Check that a format supports a motion and the options."""
     form, robot = take.format, take.robot
     if take.velocities not in get_args(Velocities):
         raise MotionError(
-            f"There are no velocities {take.velocities!r}.",
+            f"There is no kind of velocities {take.velocities!r}.",
             f"Choose from {', '.join(get_args(Velocities))}.",
         )
     if take.velocities != "spline" and form.layout is None:
-        raise MotionError(f"The format {name} has no velocities.", "Leave --velocities out.")
+        raise MotionError(f"The format {name} has no velocities.", "Remove --velocities.")
     if name not in _OWN and not robot.present.all():
         raise RobotError(
             f"The format {name} has {N_JOINTS} joints, and {robot.source} has "
             f"{int(robot.present.sum())}.",
-            "Give a robot that has them all, or leave --urdf out.",
+            "Give a robot that has all of them, or remove --urdf.",
         )
     if form.layout and robot.ignored_joints:
         raise RobotError(
             f"The format {name} has {N_JOINTS} joints, and {robot.source} has "
             f"{len(robot.ignored_joints)} more: "
             f"{listed(robot.ignored_joints, 3)}.",
-            "Give a URDF in which these are fixed.",
+            "Give a URDF in which these joints are fixed.",
         )
 
 
 def _write_csv(take: Take, path: Path) -> None:
-    """The Foxglove layout, every number with all its digits."""
+    """Write the Foxglove layout, with all digits of every number."""
     motion = take.motion
     table = [motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz), motion.joint_pos]
     rows = np.concatenate(table, axis=1).tolist()
@@ -311,7 +311,7 @@ def _write_csv(take: Take, path: Path) -> None:
 
 
 def _write_npz(take: Take, path: Path) -> None:
-    """The arrays of `Motion`, in double precision."""
+    """Write the arrays of `Motion`, in double precision."""
     motion = take.motion
     with path.open("wb") as file:
         np.savez_compressed(
@@ -325,9 +325,9 @@ def _write_npz(take: Take, path: Path) -> None:
 
 
 def _write_tracking(take: Take, path: Path) -> None:
-    """What the motion loaders of whole_body_tracking (BeyondMimic) and mjlab read.
+    """Write the format of the motion loaders of whole_body_tracking (BeyondMimic) and mjlab.
 
-    The names are not in their own files, and they do not look at them.
+    The names are an addition: their own files have none, and the loaders ignore them.
     """
     states = take.states()
     with path.open("wb") as file:
@@ -346,7 +346,7 @@ def _write_tracking(take: Take, path: Path) -> None:
 
 
 def _write_holosoma(take: Take, path: Path) -> None:
-    """What holosoma's motion loader reads: `qpos` and `qvel` of MuJoCo, and the world as a body."""
+    """Write holosoma's format: `qpos` and `qvel` of MuJoCo, with the world as a body."""
     states = take.states()
     world = np.zeros((take.n_frames, 1, 3), np.float32)
     upright = np.concatenate([world[..., :1] + 1, world], axis=2)
@@ -369,9 +369,9 @@ def _write_holosoma(take: Take, path: Path) -> None:
 
 
 def _write_sonic(take: Take, path: Path) -> None:
-    """What SONIC's C++ reader takes: a table for each array, and which bodies these are.
+    """Write the format of SONIC's C++ reader: a table for each array, and a list of the bodies.
 
-    A body's number is that in Isaac Lab's order of all bodies.
+    A body's number is its index in Isaac Lab's order of all bodies.
     """
     states, n_bodies = take.states(), len(take.links)
     names = {
@@ -397,7 +397,7 @@ def _write_sonic(take: Take, path: Path) -> None:
 
 
 def _write_lafan1(take: Take, path: Path) -> None:
-    """36 columns without a header: position, quaternion (xyzw), joints in motor order."""
+    """Write 36 columns without a header: position, quaternion (xyzw), joints in motor order."""
     frames = take.frames
     table = [frames.root_pos, xyzw_from_wxyz(frames.root_quat_wxyz), frames.joint_pos]
     with path.open("wb") as file:
@@ -405,7 +405,7 @@ def _write_lafan1(take: Take, path: Path) -> None:
 
 
 def _write_gmr(take: Take, path: Path) -> None:
-    """The dict that GMR pickles, and joint names; `local_body_pos` is in the pelvis's frame."""
+    """Write GMR's pickled dict with joint names; `local_body_pos` is in the pelvis's frame."""
     motion, robot = take.motion, take.robot
     names = dict.fromkeys((*robot.link_names, *_OF_GMR))
     local = np.empty((motion.n_frames, len(names), 3), np.float32)
@@ -436,9 +436,9 @@ def _write_gmr(take: Take, path: Path) -> None:
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles arrays so that every numpy reads them.
+    """Pickles arrays so that every numpy version reads them.
 
-    numpy 2 itself names a module that numpy 1 lacks.
+    numpy 2 itself would name a module that numpy 1 lacks.
     """
 
     def reducer_override(self, value: Any) -> Any:
@@ -450,16 +450,16 @@ class _Pickler(pickle.Pickler):
 def _write_rows(file: Any, values: NDArray[Any], name: str) -> None:
     """Write numbers (T, N) as lines of text with six decimals.
 
-    Python formats two million numbers a second, and this twenty times as many. What is before the
-    point, four decimals, and two with what follows are looked up in tables of 8, 4 and 4 bytes; the
-    zero bytes that fill these are removed at the end.
+    Python formats two million numbers a second; this function is twenty times as fast. The integer
+    part, four decimals, and two decimals with the separator are looked up in tables of 8, 4 and 4
+    bytes. The zero bytes of padding are removed at the end.
 
     Raises:
         MotionError: a number is 10,000 or more.
     """
     if np.abs(values).max() >= _LARGEST_IN_TEXT:
         raise MotionError(
-            f"{name} has a position or a velocity of {np.abs(values).max():.0f}, and text of this "
+            f"{name} has a position or a velocity of {np.abs(values).max():.0f}, but text in this "
             f"format has numbers below {_LARGEST_IN_TEXT:,}.",
             "Check its units and its frame rate.",
         )
@@ -491,10 +491,10 @@ _SONIC: Final = (
     "torso_link",
     *(f"{side}_{part}_link" for side in ("left", "right") for part in _SONIC_ARM),
 )
-#: What g1stream itself reads and writes to the last bit, whichever joints a robot has.
+#: g1stream's own formats, read back to the last bit, for any joints of a robot.
 _OWN: Final = ("csv", "npz")
 
-# `fps` is an array of integers or floats as in the file that the format's own script writes.
+# `fps` is an array of integers or floats, as in the files of the format's own script.
 FORMATS: Final = {
     "csv": Format(_write_csv, ".csv"),
     "npz": Format(_write_npz, ".npz"),
@@ -505,4 +505,4 @@ FORMATS: Final = {
     "lafan1": Format(_write_lafan1, ".csv", 30),
     "gmr": Format(_write_gmr, ".pkl"),
 }
-"""The formats that are written, by name; the first two by the suffix alone."""
+"""The supported formats for writing, by name. The first two are chosen by the suffix alone."""

@@ -1,1 +1,1 @@
-"""Session files: the MCAP format, and how they are written and read."""
+"""Session files: the MCAP format, its writer and its readers."""

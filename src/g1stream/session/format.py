@@ -1,12 +1,12 @@
-"""What a session file is made of: its channels, with their schemas and encodings, and metadata.
+"""The format of a session file: channels with their schemas and encodings, and metadata.
 
-The samples of DDS are kept as the bytes that they were, CDR, with ROS 2 message text as schema:
-ROS 2 has the same plain CDR on the wire. Beside them are messages derived from them that viewers
-know. Nothing here loads DDS until the schema of one of its types is built, as `convert` needs none.
+DDS samples are kept byte for byte as CDR, with ROS 2 message text as schema, because ROS 2 has the
+same plain CDR on the wire. Messages for viewers are derived from them. DDS is only loaded when the
+schema of a DDS type is built, because `convert` does not need it.
 
-Metadata are JSON values, kept in MCAP's map of strings. Strings are kept as they are, so that every
-MCAP tool shows them plainly; everything else becomes JSON. A string that would read as JSON
-(`0.10`, `true`) is quoted, so that it comes back a string.
+Metadata are JSON values in MCAP's map of strings. Strings are stored unchanged, so that every MCAP
+tool shows them plainly. Other values are encoded as JSON. A string that could be read as JSON
+(`0.10`, `true`) is quoted, so that it is read back as a string.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ __all__ = [
 ]
 
 TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
-"""Of /timing/*: the longest time between two publish times, and from publish time to log time."""
+"""Fields of /timing/*: longest interval between publish times, and longest latency to log time."""
 
 POLICY_FIELDS: Final = ("step", "repeated", "inference_ms", "state_age_ms", "delay_ms")
-"""Numbers of /policy/terms beside observation and action; the delay is from the publish time of the
-LowState that was observed to that of the command."""
+"""Fields of /policy/terms in addition to observation and action. The delay is from the publish
+time of the observed LowState to that of the command."""
 
 METADATA_NAME: Final = "g1stream"
-"""The name of the first metadata record; the names of later ones end in `.2`, `.3` and so on.
+"""The name of the first metadata record. Later ones end in `.2`, `.3` and so on.
 
-A later record's values replace an earlier's. Tools take two of one name for a mistake.
+A later record's values replace an earlier's. Tools treat a repeated name as an error.
 """
 
 
@@ -64,8 +64,8 @@ class MessageBatch(NamedTuple):
     """T messages of one topic, oldest first.
 
     Attributes:
-        topic: of the file.
-        payloads: the messages, or (T, size) uint8 with one in each row.
+        topic: topic in the file.
+        payloads: the messages, or (T, size) uint8 with a message in each row.
         log_times, publish_times: (T,) int64, ns since the epoch.
     """
 
@@ -75,8 +75,8 @@ class MessageBatch(NamedTuple):
     publish_times: Ints
 
 
-#: Keep last, reliable, transient local and automatic liveliness as rmw/types.h counts them, which
-#: is how rosbag2 writes them before version 9; durations of 0 are unspecified.
+#: Keep last, reliable, transient local and automatic liveliness as numbers of rmw/types.h, as
+#: rosbag2 before version 9 writes them. Durations of 0 are unspecified.
 _LATCHED_QOS: Final = json.dumps(
     [
         {
@@ -96,16 +96,16 @@ _LATCHED_QOS: Final = json.dumps(
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel of a session file.
+    """A channel of a session file.
 
     Attributes:
-        topic: its name in the file.
+        topic: topic in the file.
         schema_name: such as `foxglove.Log` or `unitree_hg/msg/LowCmd`.
         schema_encoding, message_encoding: MCAP's well-known names.
-        description: one line, for people who look into the file.
+        description: one line for people who inspect the file.
         build_schema: makes the schema's data.
-        dds_topic: whose samples it holds, bit for bit; None for derived channels.
-        latched: published once; who subscribes later needs its message all the same.
+        dds_topic: DDS topic whose samples it holds, bit for bit; None for derived channels.
+        latched: published once; later subscribers still need its message.
     """
 
     topic: str
@@ -119,18 +119,18 @@ class Channel:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the file says of the channel beside its schema."""
+        """The channel's metadata in the file."""
         qos = self.offered_qos_profiles
         return {"description": self.description} | ({"offered_qos_profiles": qos} if qos else {})
 
     @property
     def offered_qos_profiles(self) -> str:
-        """The QoS with which rosbag2 shall play it, in YAML; empty for its own default."""
+        """The QoS for playback with rosbag2, in YAML; empty for rosbag2's default."""
         return _LATCHED_QOS if self.latched else ""
 
 
 def _description(topic: str, what: str) -> Channel:
-    # In ROS's own message, which is what viewers read a URDF from.
+    # ROS's own message type, from which viewers read a URDF.
     name = "std_msgs/msg/String"
     return Channel(topic, name, "ros2msg", "cdr", what, lambda: b"string data\n", latched=True)
 
@@ -149,15 +149,15 @@ def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
 
 
 def _protobuf_schema(message_class: type[Message]) -> bytes:
-    """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
-    from mcap_protobuf.schema import build_file_descriptor_set  # with the writer of mcap: 30 ms
+    """A serialised FileDescriptorSet of a message and its imports, with the imports first."""
+    from mcap_protobuf.schema import build_file_descriptor_set  # imports mcap's writer: 30 ms
 
     schema: bytes = build_file_descriptor_set(message_class).SerializeToString()
     return schema
 
 
 def _ros2_schema(dds_topic: str) -> bytes:
-    """The type of a DDS topic as ROS 2 message text, followed by the types inside it."""
+    """The type of a DDS topic as ROS 2 message text, followed by its nested types."""
     from g1stream.dds.messages import TOPICS
 
     idl_type = next(topic.idl_type for topic in TOPICS if topic.name == dds_topic)
@@ -171,7 +171,7 @@ def _ros2_schema(dds_topic: str) -> bytes:
 def _ros2_fields(idl_type: Any) -> str:
     lines = []
     for name, (element, length) in members(idl_type).items():
-        if name == "phase":  # viewers show the constants before a field in place of its values
+        if name == "phase":  # viewers show constants before a field as names of its values
             lines += [f"uint8 {phase.name}={phase.value}\n" for phase in Phase]
         size = "" if length is None else f"[{length}]"
         lines.append(f"{_ros2_type(element)}{size} {name}\n")
@@ -179,7 +179,7 @@ def _ros2_fields(idl_type: Any) -> str:
 
 
 def _ros2_type(element: Any) -> str:
-    """Such as `uint8`, or `unitree_hg/IMUState` for `unitree_hg.msg.dds_.IMUState_`."""
+    """A ROS 2 type name: `uint8`, or `unitree_hg/IMUState` for `unitree_hg.msg.dds_.IMUState_`."""
     if isinstance(element, str):
         return "uint8" if element == "byte" else element
     parts = element.__idl_typename__.split(".")
@@ -187,7 +187,7 @@ def _ros2_type(element: Any) -> str:
 
 
 def _nested_structs(idl_type: Any) -> list[Any]:
-    """The struct types inside a type, each once, in the order of their use."""
+    """The struct types nested in a type, without duplicates, in the order of their use."""
     found: dict[str, Any] = {}
     for element, _ in members(idl_type).values():
         if not isinstance(element, str):
@@ -225,7 +225,7 @@ _ALL: Final = (
     _foxglove(
         "/simulated/joint_states",
         JointStates,
-        "joints of a simulated robot that got the recorded commands",
+        "joints of a simulated robot with the recorded commands",
     ),
     _foxglove(
         "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
@@ -244,7 +244,7 @@ _ALL: Final = (
     ),
     _foxglove("/measured/scene", SceneUpdate, "shapes of the measured robot", latched=True),
     _foxglove("/ghost/scene", SceneUpdate, "shapes of the ghost, translucent", latched=True),
-    _foxglove("/measured/path", SceneUpdate, "where the measured pelvis was in the last seconds"),
+    _foxglove("/measured/path", SceneUpdate, "path of the measured pelvis in the last seconds"),
     _description("/robot_description", "the robot's URDF"),
     _description("/measured/robot_description", "a URDF with the frames of the measured robot"),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
@@ -254,10 +254,10 @@ _ALL: Final = (
         "/sportmodestate",
         "rt/sportmodestate",
         "unitree_go/msg/SportModeState",
-        "base as the simulator knows it",
+        "base from the simulator",
     ),
     _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
-    _policy("/policy/terms", "the same by the names of terms and joints, with delays in ms"),
+    _policy("/policy/terms", "/policy by the names of terms and joints, with delays in ms"),
     _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
     _dds(
         "/reference",
@@ -268,26 +268,26 @@ _ALL: Final = (
 )
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({one.topic: one for one in _ALL})
-"""Every channel a session file can have, by its topic."""
+"""Every channel that a session file can have, by topic."""
 
 CHANNEL_OF: Final = {one.dds_topic: one.topic for one in _ALL if one.dds_topic}
-"""The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
+"""Topic in the file for each DDS topic whose samples are kept byte for byte."""
 
 
 def encode_string(text: str) -> bytes:
-    """A std_msgs/String in CDR."""
+    """Encode a std_msgs/String in CDR."""
     data = text.encode() + b"\0"
     return CDR_HEADER + len(data).to_bytes(4, "little") + data
 
 
 def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
-    """A foxglove.Log.
+    """Encode a foxglove.Log.
 
     Args:
-        time_ns: when it happened, ns since the epoch.
+        time_ns: time of the event, ns since the epoch.
         level: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
-        name: the program that logs it.
-        text: what happened.
+        name: name of the program that logs it.
+        text: the message.
     """
     message = Log(level=cast("Log.Level.ValueType", level), name=name, message=text)
     message.timestamp.FromNanoseconds(time_ns)
@@ -296,7 +296,7 @@ def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
 
 
 def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
-    """Flatten values for MCAP.
+    """Convert values to strings for MCAP.
 
     Raises:
         TypeError: a value is neither JSON nor a numpy array or scalar.
@@ -305,7 +305,7 @@ def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def metadata_from_strings(strings: Mapping[str, str]) -> dict[str, Any]:
-    """The values that `metadata_to_strings` flattened."""
+    """Convert strings of `metadata_to_strings` back to values."""
     return {key: _from_string(string) for key, string in strings.items()}
 
 
@@ -318,7 +318,7 @@ def _to_string(value: Any) -> str:
 def _from_string(string: str) -> Any:
     try:
         return json.loads(string)
-    except (ValueError, RecursionError):  # not JSON, or nested more deeply than anything of ours
+    except (ValueError, RecursionError):  # not JSON, or nested too deeply to be ours
         return string
 
 

@@ -1,7 +1,7 @@
-"""What other programs recorded, as sessions: bags, logs of joint states, and logs in CSV.
+"""Recordings of other programs as sessions: bags, joint state logs, and CSV logs.
 
-Samples of a bag are those of the wire. Of joint states and of CSV, samples of `/lowstate` are made,
-and where the log has targets, of `/lowcmd`. What the log does not have is 0, and gains are nan.
+Samples of a bag are used as they are. Joint states and CSV rows become samples of `/lowstate`, and
+of `/lowcmd` if the log has targets. Values that the log lacks are 0, and gains are nan.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
 
 __all__ = ["open_source"]
 
-#: Time of a log whose times do not count from the epoch: 2000-01-01 00:00 UTC, ns.
+#: Start time of a log whose times are not since the epoch: 2000-01-01 00:00 UTC, ns.
 _EPOCH: Final = 946_684_800_000_000_000
-#: Lowest time since the epoch in each unit, and what makes ns of it: about 2001 on.
+#: Lowest time since the epoch in each unit (about 2001), and its factor to ns.
 _SINCE_EPOCH: Final = ((1e18, 1.0), (1e15, 1e3), (1e12, 1e6), (1e9, 1e9))
 _LEAST_NS: Final = 1e18
-#: Longest usual interval of a log in each unit, where its times count from elsewhere.
+#: Longest usual interval in each unit, for logs whose times are not since the epoch.
 _INTERVALS: Final = ((0.2, 1e9), (2e2, 1e6), (2e5, 1e3), (np.inf, 1.0))
 _UNITS: Final = {"s": 1e9, "sec": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 _TIME_WORDS: Final = {"t", "time", "timestamp", "stamp"}
-#: Words in names of columns, by quantity.
+#: Words in column names, by quantity.
 _COMMAND: Final = {
     *("cmd", "lowcmd", "command", "target", "targets", "des", "desired", "ref", "reference"),
     *("action", "act", "goal", "setpoint"),
@@ -53,7 +53,7 @@ _COMMAND: Final = {
 _VELOCITY: Final = {"dq", "qd", "vel", "velocity", "qvel"}
 _TORQUE: Final = {"tau", "torque", "effort"}
 _POSITION: Final = {"q", "pos", "position", "angle", "qpos"}
-#: Words that say nothing of the quantity.
+#: Words in column names without meaning for the quantity.
 _NEUTRAL: Final = {
     *("", "joint", "joints", "motor", "state", "states", "lowstate", "body", "dof", "rt"),
     *("measured", "actual", "est", "estimated"),
@@ -65,9 +65,9 @@ _AXES: Final = {
     ),
     "pos": re.compile(r"(?:base|root|pelvis)_(?:pos_|position_|p)?([xyz])"),
 }
-#: How files of bags begin that are no MCAP: SQLite, and compressed as a whole.
+#: First bytes of bags other than MCAP: SQLite, and files compressed as a whole.
 _BAGS: Final = (b"SQLite format 3", b"\x28\xb5\x2f\xfd")
-#: Files of a directory with one quantity each, and the columns of it.
+#: Files of a directory with one quantity each, and their columns.
 _FILES: Final = ("q", "dq", "motor_torque", "action", "base_quat", "base_ang_vel")
 _JOINTS: Final = sorted(
     ((name.removesuffix("_joint"), i) for i, name in enumerate(JOINT_NAMES)),
@@ -76,11 +76,11 @@ _JOINTS: Final = sorted(
 
 
 def open_source(path: Path) -> SessionSource:
-    """What a session is read from: a session, or what another program recorded.
+    """Open a session, or a recording of another program.
 
     Args:
-        path: of a session, a bag of ROS 2, an MCAP with joint states, a CSV log, or a directory of
-            CSV files with a quantity each.
+        path: a session, a bag of ROS 2, an MCAP with joint states, a CSV log, or a directory of
+            CSV files with one quantity each.
 
     Raises:
         ConfigError: the extra that reads it is not installed.
@@ -98,7 +98,7 @@ def open_source(path: Path) -> SessionSource:
 
 
 def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
-    """The joint states of a log, and the pelvis of its transforms, as samples of a robot."""
+    """Joint states and pelvis transforms of a log as samples of a robot."""
     poses = recorded.poses()
     log = MemorySource(str(path))
     log.paths = parts_of(path)
@@ -115,14 +115,14 @@ def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
 
 
 class _Column(NamedTuple):
-    """What a column of a log is: the quantity, and which joint or axis of it."""
+    """The meaning of a log's column: a quantity, and the index of its joint or axis."""
 
     quantity: str
     number: int
 
 
 def _csv_log(path: Path) -> MemorySource:
-    """The rows of a CSV file, or of a directory of them, as samples of a robot."""
+    """The rows of a CSV file, or of a directory of CSV files, as samples of a robot."""
     files = [path]
     if path.is_dir():
         files = [one for name in _FILES if (one := path / f"{name}.csv").is_file()]
@@ -139,13 +139,13 @@ def _csv_log(path: Path) -> MemorySource:
     joints = sorted(one.number for one in columns if one.quantity == "q")
     if not joints:
         raise RecordingError(
-            f"{path} has no column with the position of a joint.",
+            f"{path} has no column with a joint position.",
             f"Name columns by joint, such as q.{JOINT_NAMES[3]}, or q_0 to q_28 in motor order.",
         )
     if joints[0] and joints[-1] == N_JOINTS:
         raise RecordingError(
             f"The joints in {path} are counted from 1.",
-            f"Count them from 0, in motor order, or name them, such as {JOINT_NAMES[3]}.",
+            f"Count them from 0, in motor order, or use names, such as {JOINT_NAMES[3]}.",
         )
     times = columns[_Column("q", joints[0])][0]
     values = {}
@@ -161,7 +161,7 @@ def _csv_log(path: Path) -> MemorySource:
     return log
 
 
-#: Values of each quantity: joints, the attitude wxyz, and vectors.
+#: Number of values of each quantity: joints, the attitude wxyz, and vectors.
 _SIZES: Final = {
     "q": N_JOINTS,
     "dq": N_JOINTS,
@@ -180,7 +180,7 @@ def _write(
     told: Mapping[str, str],
     missing: Sequence[str] = (),
 ) -> None:
-    """Write samples (N, ...) by quantity at times (N,) ns, and what was made of the log."""
+    """Write samples (N, ...) by quantity at times (N,) ns, and how the log was interpreted."""
     state = {
         "motor_state.q": values["q"],
         "motor_state.dq": values.get("dq"),
@@ -206,7 +206,7 @@ def _write(
 
 
 def _read_table(file: Path) -> tuple[list[str], Floats]:
-    """The names of the columns, and the rows (N, C)."""
+    """The column names, and the rows (N, C)."""
     try:
         text = read_file(file, UNPACKED).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -221,23 +221,23 @@ def _read_table(file: Path) -> tuple[list[str], Floats]:
         table = np.loadtxt(rows.splitlines(), delimiter=",", ndmin=2)
     except ValueError as error:
         raise RecordingError(
-            f"{file} is no table of numbers: {error}.",
-            "Give a CSV log with a header line, and a number in each cell.",
+            f"{file} is not a table of numbers: {error}.",
+            "Give a CSV log with a header line and a number in each cell.",
         ) from error
     if len(table) < 2 or table.shape[1] != len(names):
         raise RecordingError(
-            f"{file} has {counted(len(table), 'row')} of {table.shape[1]} values, and "
-            f"{counted(len(names), 'column')} named.",
-            "Give a CSV log with a header line, and a value for each name in each row.",
+            f"{file} has {counted(len(table), 'row')} of {table.shape[1]} values, but "
+            f"{counted(len(names), 'column name')}.",
+            "Give a CSV log with a header line and a value for each name in each row.",
         )
     return names, table
 
 
 def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
-    """Times (N,) of the rows, ns since the epoch, and what they were made of."""
+    """Times (N,) of the rows, ns since the epoch, and how they were determined."""
     for name, values in zip(names, table.T, strict=True):
         words = _words(name)
-        if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():  # nor are nan
+        if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():  # False for nan
             continue
         factor = next((_UNITS[word] for word in reversed(words) if word in _UNITS), None)
         assumed = "" if factor else ", unit assumed by its size"
@@ -255,13 +255,13 @@ def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
         if (np.diff(times) > 0).all():
             return times, f"column {name}, in units of {factor:g} ns{assumed}"
     raise RecordingError(
-        f"{file} has no column of rising times.",
-        "Name one time_s, time_ms or timestamp_ns; a motion without times is no log.",
+        f"{file} has no column of increasing times.",
+        "Name a column time_s, time_ms or timestamp_ns; a motion without times is not a log.",
     )
 
 
 def _column(name: str, of: str) -> _Column | None:
-    """What a column is, by its name and, in a directory, by the name `of` its file."""
+    """The meaning of a column, by its name and, in a directory, by its file's name `of`."""
     words = _words(name)
     text = "_".join(words)
     for quantity, pattern in _AXES.items():

@@ -1,9 +1,9 @@
-"""Reads MCAP files as arrays of messages, also files whose writer was killed.
+"""Reads MCAP files as arrays of messages, including files of killed writers.
 
 The library's readers need the index at the end of the file, or make an object for each message.
-This one needs neither: it skips from record to record to find the chunks, stops at the first record
-that is not whole, and decompresses only the chunks that have messages of a wanted topic. Messages
-outside of chunks, as some writers leave them, are read like a chunk that is not compressed.
+This one skips from record to record to find the chunks, stops at the first incomplete record, and
+decompresses only the chunks that have messages of a requested topic. Messages outside of chunks,
+as some writers leave them, are read like an uncompressed chunk.
 
 The layout is that of the MCAP specification, https://mcap.dev/spec.
 """
@@ -49,29 +49,29 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _MOST_THREADS: Final = 4
-#: Chunks are decompressed some at a time, of together this many bytes at least.
+#: Chunks are decompressed in groups of at least this many bytes.
 _GROUP: Final = 2**18
 
 
-#: The most bytes of messages outside of chunks that are read together.
+#: Most bytes of messages outside of chunks that are read together.
 _LOOSE: Final = 2**20
-#: The first and the last bytes of a file.
+#: First and last bytes of a file.
 _MAGIC: Final = b"\x89MCAP0\r\n"
-#: Opcode and length of a record; the length counts the bytes that follow.
+#: Opcode and length of a record. The length counts the bytes after it.
 _HEAD: Final = struct.Struct("<BQ")
 
-#: Of a chunk record: its times, size and checksum of the records in it, and how long the name of
-#: their compression is; behind the name are the length of the compressed data and the data.
+#: Fields of a chunk record: times, size and checksum of its records, and length of the name of
+#: its compression. The name, the length of the compressed data and the data follow.
 _CHUNK: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
 
 
 class Messages(NamedTuple):
-    """Messages of one topic, in the order in which they were written.
+    """Messages of one topic, in the order of writing.
 
     Attributes:
-        log_times: (N,) int64, when each was received, ns since the epoch.
-        publish_times: (N,) int64, when each was published, ns since the epoch.
+        log_times: (N,) int64, receive time, ns since the epoch.
+        publish_times: (N,) int64, ns since the epoch.
         data: the N messages, in the encoding of their channel.
     """
 
@@ -81,11 +81,11 @@ class Messages(NamedTuple):
 
 
 class Slices(Sequence[bytes]):
-    """Messages as slices of the chunk that they are in, made when they are asked for.
+    """Messages as slices of their chunk, created on access.
 
     Args:
-        chunk: decompressed.
-        starts, ends: (N,) where in it each message is.
+        chunk: decompressed chunk.
+        starts, ends: (N,) start and end of each message in it.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Slices(Sequence[bytes]):
         return (bytes(self._chunk[start:end]) for start, end in bounds)
 
     def rows(self) -> NDArray[np.uint8] | None:
-        """(N, size) a view of messages of one size at even distances; None where they are not."""
+        """(N, size) view of messages with equal size and spacing; None if they differ."""
         sizes = self._ends - self._starts
         step = int(self._starts[1] - self._starts[0]) if len(self) > 1 else len(self._chunk)
         even = (np.diff(self._starts) == step).all() and (sizes == sizes[:1]).all()
@@ -123,7 +123,7 @@ class Slices(Sequence[bytes]):
 
 
 class ChannelInfo(NamedTuple):
-    """How a file describes the messages of a topic; `metadata` is that of the channel."""
+    """The description of a topic's messages in a file. `metadata` is that of the channel."""
 
     schema_name: str
     schema_encoding: str
@@ -137,7 +137,7 @@ class ChannelInfo(NamedTuple):
 
 
 class _Span(NamedTuple):
-    """Where the content of a record is, in bytes from the start of the file or chunk."""
+    """Start and end of a record's content, in bytes from the start of the file or chunk."""
 
     opcode: int
     start: int
@@ -145,7 +145,7 @@ class _Span(NamedTuple):
 
 
 def _without_zeros(file: IO[bytes]) -> int:
-    """The size of a file without the zeros at its end."""
+    """Size of a file without the zeros at its end."""
     size = os.fstat(file.fileno()).st_size
     while size:
         start = max(0, size - _LOOSE)
@@ -162,25 +162,25 @@ def _records_in(data: bytes | memoryview) -> Iterator[_Span]:
         opcode, length = _HEAD.unpack_from(data, start)
         start += _HEAD.size
         if not opcode or start + length > len(data):
-            raise ValueError("a chunk has something else than whole records")
+            raise ValueError("a chunk contains an incomplete record")
         yield _Span(opcode, start, length)
         start += length
 
 
 def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
-    """Some bytes of a file, past its buffer, which would be refilled at each skip."""
+    """Read bytes of a file without its buffer, which each skip would refill."""
     return os.pread(file.fileno(), size, start)
 
 
 def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
-    """The bytes of a record, as the classes of `mcap.records` read them; not too many."""
+    """A record as a stream for the classes of `mcap.records`; limited in size."""
     if record.length > UNPACKED:
         raise ValueError("the record is too large")
     return ReadDataStream(BytesIO(_read_at(file, record.start, record.length)))
 
 
 def _decompressed(content: bytes | memoryview) -> bytes:
-    """The records in a chunk, from the content of its own record."""
+    """Decompress the records of a chunk, given the content of the chunk record."""
     _, _, size, crc, name_length = _CHUNK.unpack_from(content)
     compression = bytes(content[_CHUNK.size :][:name_length])
     data = content[_CHUNK.size + name_length :]
@@ -188,26 +188,26 @@ def _decompressed(content: bytes | memoryview) -> bytes:
     data = data[_LENGTH.size :][:data_length]
     if size > UNPACKED:
         raise ValueError("the chunk is too large")
-    # Neither decompressor may make more than the chunk says: a frame has a size of its own.
+    # The output size is limited for both decompressors, because a frame has a size of its own.
     if compression == b"zstd":
         if zstandard.frame_content_size(data) not in (size, -1):
-            raise ValueError("a chunk has another size than it says")
+            raise ValueError("the size of a chunk does not match its record")
         records = zstandard.decompress(data, max_output_size=size)
     elif compression == b"lz4":
         records = LZ4FrameDecompressor().decompress(data, max_length=size)
     elif not compression:
         records = bytes(data)
     else:
-        raise ValueError("the compression of a chunk is not known")
+        raise ValueError("the compression of a chunk is unknown")
     if len(records) != size:
-        raise ValueError("a chunk has another size than it says")
-    # zlib's crc32, which the library uses, takes half as long as the decompression.
+        raise ValueError("the size of a chunk does not match its record")
+    # zlib's crc32, as in the library, takes half as long as the decompression.
     if crc and fastcrc.crc32.iso_hdlc(records) != crc:
         raise ValueError("the checksum of a chunk does not match")
     return records
 
 
-#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
+#: Fields of a MessageIndex record: the channel, and the length of the entries in bytes.
 _INDEX: Final = struct.Struct("<HI")
 _INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
 #: A Message record without its data.
@@ -225,12 +225,12 @@ _MESSAGE: Final = np.dtype(
 
 @dataclass
 class _Chunk:
-    """A chunk and the MessageIndex records behind it; without an index it has to be searched.
+    """A chunk and its MessageIndex records. Without an index it must be searched.
 
     Attributes:
-        record: the chunk; of messages outside of chunks, all of their records.
-        loose: whether it is such messages.
-        index: by channel, where the entries of its index are and how many.
+        record: the chunk; for messages outside of chunks, all of their records.
+        loose: whether the messages are outside of chunks.
+        index: by channel, start and number of its index entries.
     """
 
     record: _Span
@@ -241,22 +241,22 @@ class _Chunk:
         channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
         if rest or size != record.length - _INDEX.size:
-            raise ValueError("the index of a chunk has another length than it says")
+            raise ValueError("the length of a chunk's index does not match its record")
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
 
     @property
     def end(self) -> int:
-        """Where in the file its last index ends; the end of its own record without an index."""
+        """End of its last index in the file, or of its own record without an index."""
         ends = (start + n * _INDEX_ENTRY.itemsize for start, n in self.index.values())
         return max(ends, default=self.record.start + self.record.length)
 
     def offsets(
         self, content: bytes, records: bytes, channels: set[int]
     ) -> dict[int, NDArray[np.int64]]:
-        """By wanted channel, (N,) where in the decompressed `records` its messages are, ascending.
+        """By requested channel, (N,) ascending start of its messages in the decompressed `records`.
 
-        `content` is that of the file, from the start of the chunk to `end`.
+        `content` is the file's content from the start of the chunk to `end`.
         """
         if not self.index:
             return {c: found for c, found in _message_offsets(records).items() if c in channels}
@@ -266,13 +266,13 @@ class _Chunk:
             entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start - self.record.start)
             offsets = np.sort(entries["offset"])
             if offsets[0] < 0 or offsets[-1] + _MESSAGE.itemsize > len(records):
-                raise ValueError("the index of a chunk points outside of it")
+                raise ValueError("the index of a chunk points outside of the chunk")
             found[channel] = offsets
         return found
 
 
 def _message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
-    """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
+    """By channel, (N,) start of its messages in a decompressed chunk, found without an index."""
     found: dict[int, list[int]] = {}
     for record in _records_in(data):
         if record.opcode == Opcode.MESSAGE:
@@ -284,10 +284,10 @@ def _message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
 def _messages_of(
     records: list[bytes], offsets: list[dict[int, NDArray[np.int64]]]
 ) -> dict[int, Messages]:
-    """By channel, the messages of some decompressed chunks, from where they are in each."""
+    """By channel, the messages of some decompressed chunks, given their starts in each."""
     data: bytes | memoryview = records[0]
     if len(records) > 1:
-        # Unlike joined bytes, without the interpreter's lock: other threads do not wait for it.
+        # Unlike bytes.join, this does not hold the interpreter's lock.
         data = np.concatenate([np.frombuffer(one, np.uint8) for one in records]).data
     ends = np.cumsum([len(one) for one in records])
     starts = np.concatenate([[0], ends[:-1]])
@@ -303,11 +303,11 @@ def _messages_of(
 def _messages_at(
     data: bytes | memoryview, offsets: NDArray[np.int64], limits: NDArray[np.int64], channel: int
 ) -> Messages:
-    """The messages of a channel, from where their records are (N,), and where their chunks end."""
+    """The messages of a channel, given the starts of their records (N,) and the chunks' ends."""
     size, head = len(data), _MESSAGE.itemsize
     steps = offsets[1:] - offsets[:-1]
     step = int(steps[0]) if len(steps) else head
-    if step > 0 and (steps == step).all():  # samples of DDS are of one size
+    if step > 0 and (steps == step).all():  # DDS samples have equal sizes
         heads = np.ndarray(len(offsets), _MESSAGE, data, int(offsets[0]), (step,))
     else:
         octets = np.frombuffer(data, np.uint8)
@@ -316,7 +316,7 @@ def _messages_at(
     starts, ends = offsets + head, offsets + (_HEAD.size + lengths.clip(0, size))
     wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
     if (wrong | (ends < starts) | (ends > limits)).any():
-        raise ValueError("the index of a chunk points to something else than a message")
+        raise ValueError("the index of a chunk does not point to a message")
     times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
     if any(one.min() < 0 or one.max() >= LATEST_NS for one in times):
         raise ValueError("a message has a time after 2116")
@@ -324,7 +324,7 @@ def _messages_at(
 
 
 def open_mcap(path: Path) -> IO[bytes]:
-    """An MCAP file, behind its first bytes.
+    """Open an MCAP file, and check and skip its first bytes.
 
     Raises:
         RecordingError: it cannot be read, or is no MCAP file.
@@ -332,7 +332,7 @@ def open_mcap(path: Path) -> IO[bytes]:
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-            # Opening a pipe may block, and one cannot seek in it.
+            # Opening a pipe may block, and a pipe cannot seek.
             raise RecordingError(f"{path} is not a file.", "Give an MCAP file.")
         file = path.open("rb")
     except OSError as error:
@@ -352,19 +352,19 @@ class McapFile:
     """The messages, metadata and attachments of an MCAP file.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         complete: whether it was closed properly.
-        profile: of the file, such as `ros2`.
-        indexed: whether readers that need the index at its end find all of its messages.
-        unread: bytes at its end that are no whole record.
-        counts: messages of each topic.
-        channels: of each topic, how its messages are described.
-        ambiguous: topics that several channels describe differently.
-        metadata: the values of all of g1stream's metadata records; a later one replaces an earlier.
-        metadata_records: all of them, also of others.
+        profile: the file's profile, such as `ros2`.
+        indexed: whether readers that need the index find all messages.
+        unread: bytes at its end that are an incomplete record.
+        counts: number of messages by topic.
+        channels: description of the messages by topic.
+        ambiguous: topics whose channels have different descriptions.
+        metadata: values of all of g1stream's metadata records; a later one replaces an earlier.
+        metadata_records: all metadata records, including those of other programs.
 
     Raises:
         RecordingError: there is no such file, or it is not an MCAP, or it is damaged.
@@ -394,11 +394,11 @@ class McapFile:
                     self._add_record(file, last)
                 if self._content_size > allowed:
                     raise RecordingError(
-                        f"The chunks of {self.path} are said to have "
-                        f"{self._content_size / 2**20:.0f} MiB, which no session of its size has.",
+                        f"The chunks of {self.path} claim to have "
+                        f"{self._content_size / 2**20:.0f} MiB, too much for its size.",
                         "Give a file that g1stream recorded.",
                     )
-            # Of the last chunk of a file cut short, a part of the index may be missing.
+            # Part of the index of the last chunk may be missing in an incomplete file.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
             for channel, count in self._count(file).items():
@@ -406,21 +406,21 @@ class McapFile:
 
     @property
     def types(self) -> dict[str, tuple[str, str]]:
-        """Of each topic, the name of its schema and the encoding of its messages."""
+        """Schema name and message encoding by topic."""
         return {
             topic: (one.schema_name, one.message_encoding) for topic, one in self.channels.items()
         }
 
     @property
     def log_times(self) -> tuple[int, int] | tuple[None, None]:
-        """The first and the last log time of all messages, ns; None where the file has not said."""
+        """First and last log time of all messages, ns; None if the file has no statistics."""
         about = self._statistics
         if about is None or not about.message_count:
             return None, None
         return about.message_start_time, about.message_end_time
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, in batches of one topic; those of a topic are in order.
+        """The messages of some topics, in batches of one topic, each topic in order.
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -485,7 +485,7 @@ class McapFile:
             self.indexed = bool(summary) and not any(chunk.loose for chunk in self._chunks)
 
     def _add_message(self, record: _Span) -> None:
-        """A message outside of a chunk; one right behind another is read with it."""
+        """Add a message outside of a chunk; adjacent ones are read together."""
         start = record.start - _HEAD.size
         before = self._chunks[-1] if self._chunks and self._chunks[-1].loose else None
         if before and before.end == start and before.record.length < _LOOSE:
@@ -497,10 +497,10 @@ class McapFile:
             )
 
     def _records(self, file: IO[bytes]) -> Iterator[_Span]:
-        """The whole records of a file, up to its footer or to where it was cut.
+        """The complete records of a file, up to its footer or to its end.
 
-        A power cut may leave zeros in place of the end of a file. They are no record, and a record
-        that ends among them is not whole, but for a chunk whose checksum says so.
+        After a power failure the end of a file may be zeros. They are not records, and a record
+        that ends among them is incomplete, unless it is a chunk with a correct checksum.
         """
         size, filled = os.fstat(file.fileno()).st_size, _without_zeros(file)
         start, self.unread = len(_MAGIC), size - len(_MAGIC)
@@ -518,16 +518,16 @@ class McapFile:
                 end = start + len(_MAGIC)
                 if _read_at(file, end, len(_MAGIC)) == _MAGIC:
                     raise RecordingError(
-                        f"{self.path} is several MCAP files, one behind the other: the first ends "
+                        f"{self.path} is several MCAP files joined together: the first ends "
                         f"at byte {end} of {size}.",
-                        f"Take it apart: `head -c {end}` gives the first, `tail -c +{end + 1}` "
+                        f"Split it: `head -c {end}` gives the first, `tail -c +{end + 1}` "
                         "the rest.",
                     )
                 self.unread = 0
                 return
 
     def _is_whole(self, file: IO[bytes], record: _Span, *, at_end: bool) -> bool:
-        """Whether a record that ends with zeros, with more of them behind it or not, may be so."""
+        """Whether a record that ends with zeros is complete; `at_end`: only zeros follow it."""
         if record.opcode != Opcode.CHUNK:
             return at_end
         try:
@@ -537,7 +537,7 @@ class McapFile:
         return True
 
     def _count(self, file: IO[bytes]) -> Counter[int]:
-        """Messages of each channel; of a file cut short they are counted chunk by chunk."""
+        """Number of messages by channel; without statistics they are counted chunk by chunk."""
         if self._statistics:
             return Counter(self._statistics.channel_message_counts)
         counts: Counter[int] = Counter()
@@ -550,7 +550,7 @@ class McapFile:
         return counts
 
     def _find_topic(self, file: IO[bytes], channel: int, number: int) -> None:
-        """Read a channel's topic: in the chunk of that number, or else in one before it."""
+        """Read a channel's topic from the chunk with that number, or from an earlier one."""
         for chunk in reversed(self._chunks[: number + 1]):
             self._search(file, chunk)
             if channel in self._topics:
@@ -558,7 +558,7 @@ class McapFile:
         self._topics[channel] = f"channel {channel}"
 
     def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
-        """Note the channels that a chunk describes, and count its messages by channel."""
+        """Register the channels that a chunk describes, and count its messages by channel."""
         _, data = self._content(file, chunk)
         with self._damage_at(chunk.record):
             for opcode, start, length in _records_in(data):
@@ -568,7 +568,7 @@ class McapFile:
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
     def _content(self, file: IO[bytes], chunk: _Chunk) -> tuple[bytes, bytes]:
-        """A chunk and its index as they are in the file, and its records."""
+        """A chunk with its index as stored in the file, and its records."""
         with self._damage_at(chunk.record):
             size = chunk.end - chunk.record.start
             if size > UNPACKED:
@@ -582,7 +582,7 @@ class McapFile:
     def _damage_at(self, record: _Span) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # every field and each compression has an error of its own
+        except Exception as error:  # every field and compression raises its own errors
             raise RecordingError(
                 f"The file {self.path} is damaged: the record at byte {record.start} cannot be "
                 "decoded.",
@@ -613,9 +613,9 @@ class McapFile:
 
 
 def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
-    """Chunks of the same channels together, until they have some size: each batch takes time, too.
+    """Group chunks of the same channels up to some size, because each batch takes extra time.
 
-    The chunks of a channel stay in their order.
+    The chunks of a channel keep their order.
     """
     groups: dict[frozenset[int], list[_Chunk]] = {}
     for chunk in chunks:
@@ -631,9 +631,9 @@ def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
 
 
 def _prefetch(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Yield work(item) of each item in order, done by threads a few items ahead.
+    """Yield work(item) for each item in order, computed by threads a few items ahead.
 
-    Unlike `Executor.map`, it takes items only as results are taken, so that memory stays bounded.
+    Unlike `Executor.map`, it takes items only as results are taken, so memory stays bounded.
     """
     n_threads = min(_MOST_THREADS, os.cpu_count() or 1)
     pending: deque[Future[R]] = deque()

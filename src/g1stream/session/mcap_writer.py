@@ -1,9 +1,9 @@
-"""One MCAP file, written with the library's writer so that it reads back whatever ends the program.
+"""Writes one MCAP file with the library's writer, so that it stays readable however a program ends.
 
-The messages of a topic form a chunk of their own, so that reading one topic decompresses only that
-topic. A chunk is handed to the operating system as soon as it is written: a killed program leaves a
-file that ends with its last whole chunk. A chunk is begun only if the disk has space for it and for
-the end of the file, so that a full disk leaves a file with its last words and its index.
+The messages of a topic form their own chunk, so that reading a topic decompresses only that topic.
+A chunk is passed to the operating system as soon as it is written, so a killed program leaves a
+file that ends with its last whole chunk. A chunk is only begun if the disk has space for it and for
+the end of the file, so a file on a full disk still gets its last messages and its index.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ __all__ = ["Compression", "McapWriter", "OutputFile", "max_size"]
 
 Compression = Literal["zstd", "lz4", "none"]
 
-#: Kept for the end of the file: schemas and statistics, and the index of one chunk.
+#: Space reserved for the end of the file: schemas, statistics, and the index of one chunk.
 _SUMMARY_BYTES: Final = 1 << 16
 _INDEX_BYTES: Final = 200
-#: Kept for what is written after a disk has filled up: the last metadata and log messages.
+#: Space reserved for the last metadata and log messages after a disk is full.
 _FINAL_BYTES: Final = 1 << 18
-#: Of a message record, without its data, and of its index entry.
+#: Size of a message record without its data, and of its index entry.
 _MESSAGE_BYTES: Final = 31 + 16
 
 
 def max_size(batch: MessageBatch) -> int:
-    """Bytes that messages take in a file, at most."""
+    """Largest size of messages in a file, bytes."""
     return sum(map(len, batch.payloads)) + _MESSAGE_BYTES * len(batch.payloads)
 
 
 class OutputFile:
-    """A file that is written unbuffered, in whole pieces only.
+    """An unbuffered file to which only whole pieces are written.
 
     Args:
-        path: of the file, which must not exist.
+        path: path of the file, which must not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,7 +64,7 @@ class OutputFile:
         self._committed = 0
 
     def write(self, data: bytes) -> int:
-        """Write all of the data; an OSError leaves a part of it, to be removed by `rollback`."""
+        """Write all data. After an OSError call `rollback` to remove the written part."""
         view = memoryview(data)
         while view:
             view = view[self._file.write(view) :]
@@ -76,31 +76,31 @@ class OutputFile:
         return position
 
     def flush(self) -> None:
-        """Nothing to do: the file is not buffered."""
+        """Do nothing, because the file is not buffered."""
 
     def require_space(self, size: int) -> None:
         """Check that the disk has space for `size` more bytes.
 
         Raises:
-            OSError: it has not.
+            OSError: there is too little space.
         """
         disk = os.statvfs(self._file.fileno())
-        if disk.f_blocks and disk.f_bavail * disk.f_frsize < size:  # some file systems do not know
+        if disk.f_blocks and disk.f_bavail * disk.f_frsize < size:  # 0 blocks: unknown
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def is_at(self, path: Path) -> bool:
-        """Whether a path leads to this file."""
+        """Whether a path is this file."""
         try:
             return os.path.samestat(path.stat(), os.fstat(self._file.fileno()))
         except FileNotFoundError:
             return False
 
     def commit(self) -> None:
-        """Keep all that has been written so far."""
+        """Keep everything that was written so far."""
         self._committed = self.tell()
 
     def rollback(self) -> None:
-        """Remove all that was written since the last `commit`."""
+        """Remove everything that was written since the last `commit`."""
         with suppress(OSError):
             self._file.truncate(self._committed)
             self._file.seek(self._committed)
@@ -111,16 +111,16 @@ class OutputFile:
 
 
 class _ChunkIndexes:
-    """The index of the chunks so far, on disk: in memory it would grow by 150 MB an hour.
+    """The index of the chunks so far, on disk, because in memory it would grow by 150 MB an hour.
 
-    It takes the place of the list in the library's writer.
+    It replaces the list in the library's writer.
 
     Args:
-        directory: whose disk has space for it; the file has no name there.
+        directory: directory on a disk with enough space. The file has no name in it.
     """
 
     def __init__(self, directory: Path) -> None:
-        # Unbuffered: nothing is left to be written when it is closed.
+        # Unbuffered, so that closing it writes nothing.
         self._file = TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115
 
     def append(self, index: ChunkIndex) -> None:
@@ -139,18 +139,18 @@ class _ChunkIndexes:
 
 
 class McapWriter:
-    """One MCAP file; every method raises a RecordingError where the file cannot be written.
+    """One MCAP file. Every method raises a RecordingError if the file cannot be written.
 
     Args:
-        path: of the file; its directory must exist.
-        channels: those that messages may be written to, by topic.
-        compression: of the chunks.
-        profile: of the file; if None, `ros2` where all channels are CDR, as rosbag2 writes it.
+        path: path of the file; its directory must exist.
+        channels: channels that may be written, by topic.
+        compression: compression of the chunks.
+        profile: profile of the file; if None, `ros2` if all channels are CDR, as in rosbag2.
 
     Attributes:
-        path: of the file, as error messages show it.
-        place: where the file is at present.
-        counts: messages written, by topic.
+        path: path of the file for error messages.
+        place: current path of the file.
+        counts: number of written messages by topic.
         first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
     """
 
@@ -180,7 +180,7 @@ class McapWriter:
                 path.unlink(missing_ok=True)
                 raise
         self._mcap = self._library_writer(summary=True)
-        # Profile ros2 demands CDR in all channels; its readers refuse a file of several encodings.
+        # Profile ros2 requires CDR in all channels; its readers reject files of several encodings.
         only_ros2 = profile is None and all(
             channel.message_encoding == "cdr" for channel in channels.values()
         )
@@ -190,8 +190,8 @@ class McapWriter:
                     "ros2" if only_ros2 else profile or "", library=f"g1stream {__version__}"
                 )
                 if only_ros2:
-                    # Else rosbag2 takes a file that it opens alone for one of its version 9, in
-                    # which QoS is written in words.
+                    # Otherwise rosbag2 assumes its version 9, in which QoS is written in words, for
+                    # a file that it opens without metadata.yaml.
                     self._mcap.add_metadata("rosbag2", {"serialized_metadata": ""})
         except BaseException:
             self._file.close()
@@ -205,12 +205,12 @@ class McapWriter:
         return self._file.tell()
 
     def write_chunk(self, batches: Sequence[MessageBatch], sequence: int, *, last: bool) -> None:
-        """Write messages of one topic as a chunk; all of them or none.
+        """Write messages of one topic as a chunk: all of them or none.
 
         Args:
             batches: the messages.
-            sequence: number of the first message.
-            last: whether this may use the space that is kept for the end of a file.
+            sequence: sequence number of the first message.
+            last: whether this may use the space that is reserved for the end of a file.
         """
         with output_errors(self.path):
             if not self._file.is_at(self.place):
@@ -237,7 +237,7 @@ class McapWriter:
             self.last_log_time = max(final, self.last_log_time)
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Add a file; see `SessionWriter.attach`."""
+        """Attach a file; see `SessionWriter.attach`."""
         with self._committed(len(data) + _FINAL_BYTES):
             self._mcap.add_attachment(time_ns, time_ns, name, media_type, data)
 
@@ -249,7 +249,7 @@ class McapWriter:
         self._n_metadata = number
 
     def write_metadata(self, name: str, strings: dict[str, str]) -> None:
-        """Add a metadata record of any name."""
+        """Add a metadata record with any name."""
         with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
             self._mcap.add_metadata(name, strings)
 
@@ -263,7 +263,7 @@ class McapWriter:
             self._indexes.close()
 
     def _channel_id(self, topic: str) -> int:
-        """The number of a channel; a new one is registered, and described in the next chunk."""
+        """The id of a channel. A new channel is registered, and described in the next chunk."""
         if topic not in self._channel_ids:
             channel = self._channels[topic]
             schema = channel.schema_name, channel.build_schema()
@@ -280,7 +280,7 @@ class McapWriter:
     def _library_writer(self, *, summary: bool) -> Any:
         writer = Writer(
             self._file,  # type: ignore[arg-type]  # it calls write, tell and flush only
-            chunk_size=1 << 40,  # never reached: chunks end with `flush`
+            chunk_size=1 << 40,  # never reached, because chunks end with `flush`
             compression=self._compression,
             index_types=IndexType.ALL if summary else IndexType.NONE,
             repeat_channels=summary,
@@ -293,10 +293,10 @@ class McapWriter:
         return writer
 
     def _recover(self) -> None:
-        """Cut off a piece that was written in part, and go on without a summary.
+        """Remove a piece that was written in part, and continue without a summary.
 
-        The library's writer has counted the piece, so another one takes over. It knows the same
-        channels, and does not know of what was written before.
+        The library's writer has counted that piece, so a new writer replaces it. The new one knows
+        the same channels, but not what was written before.
         """
         self._file.rollback()
         self._indexes.close()
@@ -309,12 +309,12 @@ class McapWriter:
 
     @contextmanager
     def _committed(self, size: int) -> Iterator[None]:
-        """Write a piece of so many bytes and the end of the file, if there is space for both."""
+        """Write a piece of `size` bytes if there is space for it and for the end of the file."""
         with output_errors(self.path):
             self._file.require_space(size + _SUMMARY_BYTES + _INDEX_BYTES * (self._n_chunks + 1))
             try:
                 yield
                 self._file.commit()
-            except OSError:  # another program took the space, or there is a quota
+            except OSError:  # another program used the space, or there is a quota
                 self._recover()
                 raise

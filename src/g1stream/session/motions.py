@@ -1,4 +1,4 @@
-"""Motions from sessions and bags, to play again what was played."""
+"""Motions from sessions and bags, for playing them again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["attached_motion", "motion_of", "open_played", "recorded_motion"]
 
 
 def open_played(file: MotionFile) -> MotionReader:
-    """The reader of a session, or of joint states that others, or `convert`, recorded.
+    """Open a session, or joint states recorded by another program or by `convert`.
 
     Raises:
         ConfigError: the extra that reads it is not installed.
@@ -45,19 +45,19 @@ class _PlayedMotion(NamedTuple):
 
 
 def recorded_motion(file: MotionFile) -> RecordedMotion | None:
-    """The joint states that others, or `convert`, recorded; None in a session.
+    """Open joint states recorded by another program or by `convert`; None for a session.
 
     Raises:
         ConfigError: the extra that reads it is not installed.
         RecordingError: it is damaged.
     """
     parts = parts_of(file.path)
-    in_ros = not is_session(parts[0])  # in SQLite, or compressed as a whole
+    in_ros = not is_session(parts[0])  # SQLite, or compressed as a whole
     if not in_ros:
         files = [McapFile(part) for part in parts]
         types = {topic: kind for one in files for topic, kind in one.types.items()}
         in_ros = any(kind == "sensor_msgs/msg/JointState" for kind, _ in types.values())
-        # A robot's own topics in a bag with joint states are none of ours.
+        # A robot's own topics in a bag with joint states are not a session.
         has_joints = in_ros or not FOXGLOVE.joint_states.keys().isdisjoint(types.values())
         ours = ReferenceStream.topic in types or any(one.metadata for one in files)
         if not types.keys().isdisjoint(STREAMS) and (ours or not has_joints):
@@ -69,15 +69,15 @@ def recorded_motion(file: MotionFile) -> RecordedMotion | None:
 
 
 def motion_of(session: Recording, fps: float | None = None) -> Motion:
-    """The motion that was played, as the reference has it; or what `convert` made of a motion.
+    """The played motion from the reference, or the motion from which `convert` made the file.
 
     Args:
         session: a recording.
-        fps: frames per second; the rate of the reference if None.
+        fps: frame rate of the result; the rate of the reference if None.
 
     Raises:
         RecordingError: there is no motion in this session.
-        MotionError: `fps` is not a frame rate, or leaves less than two frames.
+        MotionError: `fps` is not a frame rate, or leaves fewer than two frames.
     """
     if session.converted and (recorded := recorded_motion(MotionFile(session.path, fps))):
         return recorded.motion()
@@ -93,15 +93,15 @@ def motion_of(session: Recording, fps: float | None = None) -> Motion:
 
 
 def attached_motion(session: Recording) -> Motion | None:
-    """The whole motion in the attached file, where that is the one which was played.
+    """The motion in the attached file, if it is the one that was played.
 
-    None where no file is attached, or what was played is something else that was made of it.
+    It is None if no file is attached, or if the played motion differs from the file's.
     """
     info, _ = read_record(MotionInfo, session.metadata.get("motion"))
     if info is None or info.source is None or info.content_sha256 is None:
         return None
     path = Path(info.source)
-    member = None if info.name == path.stem else info.name  # of a file of several
+    member = None if info.name == path.stem else info.name  # its name in a file of several
     try:
         data = session.attachments[path.name]
         motion = MotionFile(path, info.fps, member=member, data=data).open().motion()

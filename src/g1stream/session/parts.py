@@ -1,12 +1,12 @@
-"""Where a recording is on disk: one file, or a directory of parts as rosbag2 writes them.
+"""The files of a recording: one file, or a directory of parts as rosbag2 writes them.
 
     session/
       metadata.yaml
       session_0.mcap
       session_1.mcap
 
-rosbag2 wants one serialisation format in a bag, so metadata.yaml lists the topics in CDR and leaves
-out those in protobuf; the parts hold both.
+rosbag2 requires one serialisation format in a bag, so metadata.yaml lists the topics in CDR and
+omits those in protobuf. The parts contain both.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ __all__ = [
 ]
 
 _METADATA: Final = "metadata.yaml"
-#: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
-#: `Channel.offered_qos_profiles` is of this version, too.
+#: Version of metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
+#: `Channel.offered_qos_profiles` has this version, too.
 _VERSION: Final = 6
 
 
 class Part(NamedTuple):
-    """What metadata.yaml says of a part.
+    """The entry of a part in metadata.yaml.
 
     Attributes:
-        name: of the file.
-        counts: its messages by topic.
+        name: name of the file.
+        counts: number of messages by topic.
         first_log_time, last_log_time: ns since the epoch; None without messages.
     """
 
@@ -68,10 +68,10 @@ class Part(NamedTuple):
 
 
 def parts_of(path: Path) -> list[Path]:
-    """The files of a session: a file itself, or those that a directory's metadata.yaml lists."""
+    """The files of a session: a file itself, or those listed in a directory's metadata.yaml."""
     try:
         is_directory = path.is_dir()
-    except OSError:  # opening it says why
+    except OSError:  # opening the file gives the reason
         is_directory = False
     if not is_directory:
         return [path]
@@ -89,16 +89,15 @@ def part_path(directory: Path, number: int) -> Path:
 
 
 def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
-    """Check that a recording can be written to a path, without touching anything.
+    """Check that a recording can be written to a path, without changing anything.
 
     Args:
-        path: of the file; of a split recording, the directory is called after it.
+        path: path of the file; the directory of a split recording is named after it.
         split: whether the recording is split into parts.
         force: whether a file, or a directory that g1stream recorded, may be replaced.
 
     Raises:
-        RecordingError: nothing can be written there, or something is there that may not be
-            replaced.
+        RecordingError: the path cannot be written, or something there may not be replaced.
     """
     if not split:
         check_output_path(path, force=force)
@@ -113,7 +112,7 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
         if directory.is_symlink() or not directory.is_dir():
             raise RecordingError(
                 f"{directory} is not a directory that g1stream recorded.",
-                "Move it away, or choose another name.",
+                "Move it, or choose another name.",
             )
         if not os.access(directory, os.R_OK | os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, "no permission to replace it")
@@ -126,14 +125,14 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
             f"{directory} holds {foreign[0]}, which is not a part of the recording in it."
             if foreign
             else f"{directory} was not recorded by g1stream.",
-            "Move it away, or choose another name.",
+            "Move it, or choose another name.",
         )
 
 
 def replace_recording(new: Path, path: Path) -> None:
-    """Put a new file or directory in the place of an old one; an old directory is removed last."""
+    """Replace an old file or directory by a new one. An old directory is removed last."""
     with output_errors(path):
-        if path.is_symlink() or not path.is_dir():  # a link is replaced, not what it leads to
+        if path.is_symlink() or not path.is_dir():  # replace a link, not its target
             new.replace(path)
             return
         old = new.with_suffix(".old")
@@ -143,7 +142,7 @@ def replace_recording(new: Path, path: Path) -> None:
 
 
 def remove_recording(path: Path) -> None:
-    """Remove the file, or the directory, of a recording that g1stream just wrote."""
+    """Remove the file or the directory of a recording that g1stream just wrote."""
     with suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
@@ -215,7 +214,7 @@ def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
     try:
         text = read_file(path, SETTINGS_FILE).decode("utf-8")
         about: dict[str, Any] = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
-        # Parts are in the directory itself, wherever the paths lead.
+        # Parts are in the directory itself, whatever the paths say.
         names = [PurePath(name).name for name in about["relative_file_paths"]]
         if not names or not all(names):
             raise ValueError("it lists no files")
@@ -224,9 +223,9 @@ def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
             f"{directory} is a directory without {_METADATA}.",
             "Give an MCAP file, or the directory of a split recording.",
         ) from error
-    except Exception as error:  # YAML of any kind, nested as deeply as one likes
+    except Exception as error:  # a YAML file may fail in many ways
         raise RecordingError(
             f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.",
-            "Give one of the MCAP files beside it instead.",
+            "Give one of the MCAP files in the directory instead.",
         ) from error
     return about | {"relative_file_paths": names}

@@ -1,7 +1,7 @@
-"""A motion from recorded poses: joint states and transforms, whoever recorded them.
+"""A motion from recorded poses: joint states and transforms of any program.
 
-Here Foxglove's JointStates and FrameTransforms are read, in protobuf, which `convert` writes, too.
-Extras read others and give them to the same class.
+This file reads Foxglove's JointStates and FrameTransforms in protobuf, which `convert` also writes.
+Extras read other formats and pass them to the same class.
 """
 
 from __future__ import annotations
@@ -47,28 +47,29 @@ __all__ = [
 
 T = TypeVar("T")
 
-#: Topics that are taken before others.
+#: Topics that are preferred to others.
 _PREFERRED: Final = ("/reference/joint_states", "/joint_states", "/measured/joint_states")
 #: Names of the pelvis's frame.
 _PELVIS: Final = ("pelvis", "base_link")
 _NS_PER_S: Final = 1_000_000_000
 _UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
-#: Of the two rows of times: the stamps in messages, and when they were published.
+#: Rows of the two kinds of times: stamps in messages, and publish times.
 _STAMPS, _PUBLISHED = 0, 1
-#: Times that differ by less are the same, s.
+#: Times that differ by less are equal, s.
 _SAME_TIME: Final = 1e-6
-#: An interval of more than so many periods and more than `MAX_GAP_NS` is a gap, which is a straight
-#: line; where it is also longer than this, ns, the recording was interrupted, or its clock set.
+#: An interval of more than this many periods and more than `MAX_GAP_NS` is a gap, which becomes a
+#: straight line. If it is also longer than this, ns, the recording was interrupted or its clock was
+#: stepped.
 _GAP_PERIODS: Final = 5
 _PAUSE_NS: Final = 10_000_000_000
 #: A joint that moves by less has not moved, rad.
 _STANDS_STILL: Final = 0.05
-#: Gaps that are named.
+#: Number of gaps that are listed.
 _MOST_GAPS: Final = 5
 
 
 class JointAngles(NamedTuple):
-    """What a message says of joints: its stamp, ns since the epoch, their names, and rad."""
+    """Joint angles of a message: stamp, ns since the epoch, joint names, and rad."""
 
     stamp: int
     names: tuple[str, ...]
@@ -76,7 +77,7 @@ class JointAngles(NamedTuple):
 
 
 class FramePose(NamedTuple):
-    """A transform: its stamp, ns since the epoch, the frames, (3) m and (4)."""
+    """A transform: stamp, ns since the epoch, frames, position (3) m and quaternion (4)."""
 
     stamp: int
     parent: str
@@ -89,9 +90,9 @@ class RecordingFile(Protocol):
     """A file of messages, such as `McapFile`.
 
     Attributes:
-        types: of each topic, the name of its message type and the encoding of its messages.
-        counts: messages of each topic.
-        unread: bytes at its end that are no whole record.
+        types: message type and encoding by topic.
+        counts: number of messages by topic.
+        unread: bytes at its end that are an incomplete record.
     """
 
     counts: Counter[str]
@@ -102,7 +103,7 @@ class RecordingFile(Protocol):
         """By topic."""
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, in batches of one topic; those of a topic are in order."""
+        """The messages of some topics, in batches of one topic, each topic in order."""
 
 
 class RecordedPoses(NamedTuple):
@@ -111,9 +112,9 @@ class RecordedPoses(NamedTuple):
     Attributes:
         times: (T,) ns since the epoch.
         q: (T, 29) rad, motor order.
-        root_pos, root_quat_wxyz: (T, 3) m and (T, 4), in the frame above the pelvis.
-        pelvis_known: whether there were transforms of it; else it is upright at the origin.
-        warnings: what is worth knowing of the file.
+        root_pos, root_quat_wxyz: (T, 3) m and (T, 4), in the pelvis's parent frame.
+        pelvis_known: whether there were transforms of it; otherwise it is upright at the origin.
+        warnings: notes about the file.
     """
 
     times: Ints
@@ -125,7 +126,7 @@ class RecordedPoses(NamedTuple):
 
 
 class Decoders(NamedTuple):
-    """What decodes messages, by type and encoding; for anything else they raise a ValueError."""
+    """Functions that decode messages, by type and encoding. They raise ValueError on bad data."""
 
     joint_states: Mapping[tuple[str, str], Callable[[bytes], JointAngles]]
     transforms: Mapping[tuple[str, str], Callable[[bytes], Sequence[FramePose]]]
@@ -137,10 +138,10 @@ class RecordedMotion:
     Args:
         file: the recording; without `fps` the motion has the rate of its joint states.
         files: its parts, in order.
-        decoders: of the messages that it may have.
+        decoders: decoders of the supported messages.
 
     Attributes:
-        unread: bytes at the ends of the files that are no whole record.
+        unread: bytes at the ends of the files that are incomplete records.
     """
 
     def __init__(
@@ -154,12 +155,12 @@ class RecordedMotion:
 
     @property
     def has_joints(self) -> bool:
-        """Whether there are joint states that can be read."""
+        """Whether it has joint states that can be read."""
         return bool(self._joint_topics)
 
     @cached_property
     def evidence(self) -> Evidence:
-        """What the motion is made of: the joints, their order, the pelvis."""
+        """The sources of the motion: joints, their order, and the pelvis."""
         topic, joints, pose = self._joints_topic, self._joints, self._pelvis
         count, kind = counted(self._counts[topic], "message"), self._types[topic][0]
         used = {
@@ -169,7 +170,7 @@ class RecordedMotion:
         if joints.prefix:
             used["joint order"] += f", without the prefix {joints.prefix}"
         if joints.merged:
-            used["joints"] = f"merged of messages with {joints.merged} of them"
+            used["joints"] = f"merged from messages with {joints.merged} of them"
         others = tuple(one for one in self._joint_topics if one != topic) + joints.not_used
         if pose is None:
             return Evidence(used, {"pelvis": "upright at the origin"}, others)
@@ -177,10 +178,10 @@ class RecordedMotion:
         return Evidence(used, not_used=others + pose.not_used)
 
     def motion(self) -> Motion:
-        """The motion of its joint states, and of the pelvis in its transforms.
+        """The motion from its joint states and the pelvis's transforms.
 
         Raises:
-            RecordingError: as of `poses`; or nothing moves, or a value is not one of a motion.
+            RecordingError: as for `poses`; or nothing moves, or a value is not valid in a motion.
             MotionError: joints are missing.
         """
         poses = self.poses()
@@ -193,11 +194,11 @@ class RecordedMotion:
         return replace(motion, warnings=(*motion.warnings, *poses.warnings))
 
     def poses(self) -> RecordedPoses:
-        """Its joint states, and where the pelvis was in its transforms.
+        """Its joint states, with the pelvis's pose from the transforms.
 
-        Times are the stamps in the messages, or where those of the joint states do not rise or
-        those of the transforms are not of the same time, all are those of publishing. Where a clock
-        was set, the poses follow one another as if it had not been.
+        Times are the stamps in the messages. Publish times are used instead if the stamps of the
+        joint states do not increase, or if those of the transforms do not overlap with them. Steps
+        of a clock are removed.
 
         Raises:
             RecordingError: the file is damaged, was interrupted, or has no joint states or several
@@ -211,8 +212,8 @@ class RecordedMotion:
         steps = _clock_steps(joints.clocks[clock], q, self._path)
         times = without_steps(joints.clocks[clock], steps)
         warnings = [
-            f"{name}: its times leap by {step / _NS_PER_S:+.3f} s, as of a clock that was set; the "
-            "poses follow one another as if it had not been"
+            f"{name}: its times jump by {step / _NS_PER_S:+.3f} s, as if the clock was set; the "
+            "jump was removed"
             for step in steps
         ]
         if pose is not None:
@@ -220,20 +221,22 @@ class RecordedMotion:
                 raise RecordingError(
                     f"The transforms of {pose.child} in {self._path} are from another time than "
                     "its joint states.",
-                    "Record both together, or leave the transforms out.",
+                    "Record both together, or remove the transforms.",
                 )
             root_pos, quat = pose.at(times, without_steps(pose.clocks[clock], steps))
             furthest = f"transform {int(np.argmax(np.abs(pose.norms - 1.0)))}"
             warnings += [f"{name}: {text}" for text in norm_warning(pose.norms, furthest)]
         if self.unread:
-            lost = f"the last {counted(self.unread, 'byte')} of {self._path} are no whole record"
-            warnings.append(f"{lost}, and not read")
+            lost = (
+                f"the last {counted(self.unread, 'byte')} of {self._path} are an incomplete record"
+            )
+            warnings.append(f"{lost} and were not read")
         return RecordedPoses(times, q, root_pos, quat, pose is not None, tuple(warnings))
 
     def _fits(self, clock: int) -> bool:
-        """Whether a clock rises with the joint states, and is that of the transforms, too.
+        """Whether a clock increases with the joint states, and matches the transforms.
 
-        One that leaps gives way to one that does not.
+        A clock without jumps is preferred to one with jumps.
         """
         clocks, pose = self._joints.clocks, self._pelvis
         intervals = np.diff(clocks)
@@ -261,14 +264,14 @@ class RecordedMotion:
         kinds = sorted({f"{kind} in {encoding}" for kind, encoding in self._types.values()})
         has = f"{', '.join(kinds[:8])}{', ...' * (len(kinds) > 8)}" if kinds else "no messages"
         raise RecordingError(
-            f"{self._path} has no joint states that can be read, only {has}.",
+            f"{self._path} has no supported joint states, only {has}.",
             "Give a bag with sensor_msgs/msg/JointState in cdr or foxglove.JointStates in "
-            "protobuf, or a session; no other encoding is read.",
+            "protobuf, or a session.",
         )
 
     @cached_property
     def _joints(self) -> _Joints:
-        """The messages with all joints, or what those with some of them have together."""
+        """The messages with all joints, or merged messages with some joints each."""
         topic = self._joints_topic
         found: dict[tuple[str, ...], list[_Row]] = {}
         for number, (published, joints) in enumerate(self._decoded(topic, self._decode_joints)):
@@ -278,7 +281,7 @@ class RecordedMotion:
         if not found:
             raise RecordingError(
                 f"{topic} in {self._path} has no messages.",
-                "Record while its publisher runs.",
+                "Record while the publisher is running.",
             )
         prefix = _prefix([name for names in found for name in names])
         kinds: dict[tuple[str, ...], list[_Row]] = {}
@@ -313,7 +316,7 @@ class RecordedMotion:
 
     @cached_property
     def _pelvis(self) -> _Poses | None:
-        """The pelvis's poses in the frame above it; None without transforms of it."""
+        """The pelvis's poses in its parent frame; None without transforms."""
         names = {self._joints.prefix + name for name in _PELVIS}
         found: dict[tuple[str, str], list[tuple[FramePose, int]]] = {}
         for topic in sorted(
@@ -327,7 +330,7 @@ class RecordedMotion:
                 break
         if not found:
             return None
-        # With the joints' prefix, or else with another, such as that of our measured robot.
+        # With the joints' prefix, or with another, such as that of g1stream's measured robot.
         frames = sorted(found, key=lambda one: (one[0] not in names, -len(found[one])))
         (child, parent), *others = frames
         clocks = np.array([(one.stamp, time) for one, time in found[frames[0]]], np.int64).T
@@ -369,12 +372,12 @@ class RecordedMotion:
                     yield time, found
 
 
-#: A message of joints: its number, when it was stamped and published, ns, and the angles, rad.
+#: A message of joints: its number, stamp and publish time, ns, and the angles, rad.
 _Row = tuple[int, int, int, Sequence[float]]
 
 
 class _Joints(NamedTuple):
-    """Joint states: times (2, T) int64, ns, and (T, 29) rad; and what was made of the messages."""
+    """Joint states: times (2, T) int64, ns, and (T, 29) rad; and how messages were interpreted."""
 
     clocks: Ints
     q: Floats
@@ -384,7 +387,7 @@ class _Joints(NamedTuple):
 
 
 def _prefix(names: Sequence[str]) -> str:
-    """What all names begin with, such as `g1/`, where they are not those of the joints without."""
+    """The common prefix of all names, such as `g1/`, if they are not joint names without it."""
     if any(f"{name.removesuffix('_joint')}_joint" in JOINT_NAMES for name in names):
         return ""
     first, last = min(names, default=""), max(names, default="")
@@ -392,15 +395,15 @@ def _prefix(names: Sequence[str]) -> str:
 
 
 def _in_order(names: tuple[str, ...], rows: list[_Row]) -> Iterator[_Row]:
-    """Messages with the 29 joints only, in motor order."""
+    """Messages with all 29 joints, in motor order."""
     order = [names.index(name) for name in JOINT_NAMES]
     return ((*row[:3], [row[3][i] for i in order]) for row in rows)
 
 
 def _merged(kinds: Mapping[tuple[str, ...], list[_Row]], path: Path) -> tuple[Ints, Floats]:
-    """Times (2, T) of the most frequent messages, ns, and at each all joints (T, 29), rad.
+    """Times (2, T) of the most frequent messages, ns, and all joints (T, 29) at these, rad.
 
-    Angles are on straight lines between the messages of a kind; there are none outside of them.
+    Angles are interpolated linearly between the messages of a kind, and not extrapolated.
     """
     series = [
         (
@@ -418,8 +421,8 @@ def _merged(kinds: Mapping[tuple[str, ...], list[_Row]], path: Path) -> tuple[In
     ]
     if not rising or len(series) < len(kinds):
         raise RecordingError(
-            f"The joint states of {path} come in messages of some joints each, and their times do "
-            "not rise.",
+            f"The joint states of {path} are split over several messages, and their times do "
+            "not increase.",
             "Record all joints in each message.",
         )
     clock, clocks = rising[0], series[-1][1]
@@ -439,10 +442,10 @@ def _is_pelvis(frame: str) -> bool:
 
 
 def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
-    """By how much the clock of poses (T, 29) was set, ns: where they go on and it does not.
+    """Steps of the clock of poses (T, 29), ns, detected where the poses continue without a jump.
 
     Raises:
-        RecordingError: the poses do not go on where the clock leaps.
+        RecordingError: the poses also jump where the clock does.
     """
     intervals, change = np.diff(times), np.abs(np.diff(q, axis=0)).max(axis=1)
     period, steps = max(1, int(np.median(intervals))), []
@@ -452,20 +455,20 @@ def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
         usual = float(np.append(change[max(0, i - 5) : i], change[i + 1 : i + 6]).mean())
         leap = not 0 <= interval <= max(_PAUSE_NS, _GAP_PERIODS * period)
         goes_on = change[i] <= 3.0 * usual + _STANDS_STILL
-        # A robot that moves would have gone further in a pause of the messages.
+        # A robot that moves would have moved further in a pause of the messages.
         if goes_on and (leap or usual * interval / period > 5.0 * change[i] + 2.0 * _STANDS_STILL):
             steps.append(interval - period)
         elif leap:
             raise RecordingError(
                 f"{path} was interrupted: its clock goes from {(times[i] - times[0]) / 1e9:.1f} to "
                 f"{(times[i + 1] - times[0]) / 1e9:.1f} s, and a joint by {change[i]:.2f} rad.",
-                "Record the motion in one go, or cut the file there and give a part.",
+                "Record the motion without interruption, or cut the file there and give a part.",
             )
     return steps
 
 
 class _Poses(NamedTuple):
-    """Where a frame is in another: times (2, N) int64, ns, (N, 3) m and (N, 4)."""
+    """Poses of a frame in another: times (2, N) int64, ns, (N, 3) m and (N, 4)."""
 
     child: str
     parent: str
@@ -476,17 +479,17 @@ class _Poses(NamedTuple):
 
     @property
     def norms(self) -> Floats:
-        """(N,) of the quaternions."""
+        """(N,) norms of the quaternions."""
         return np.asarray(np.linalg.norm(self.quat_wxyz, axis=1))
 
     def overlaps(self, clocks: Ints, clock: int) -> bool:
-        """Whether they are of the same time as others (2, T); a single one is of any time."""
+        """Whether their time overlaps other times (2, T). A single pose is valid at any time."""
         own, other = self.clocks[clock], clocks[clock]
         between = own.min() <= other.max() and other.min() <= own.max()
         return len(own) == 1 or bool(own.min() < own.max() and between)
 
     def at(self, times: Ints, own: Ints) -> tuple[Floats, Floats]:
-        """(T, 3) and (T, 4) at times (T,): on straight lines between them, and as at the ends.
+        """(T, 3) and (T, 4) at times (T,), interpolated linearly, constant beyond the ends.
 
         `own` are their times (N,).
         """
@@ -508,7 +511,7 @@ class _Poses(NamedTuple):
 def _nanoseconds(timestamp: Timestamp) -> int:
     time = int(timestamp.ToNanoseconds())
     if not 0 <= time < LATEST_NS:
-        raise ValueError("its time is not one of a recording")
+        raise ValueError("its time is not plausible for a recording")
     return time
 
 
@@ -551,23 +554,23 @@ def motion_of_poses(
     path: Path,
     fps: float | None,
 ) -> Motion:
-    """A motion of constant frame rate from N poses.
+    """Make a motion of constant frame rate from N poses.
 
-    Of poses within the same microsecond the first is taken. Where the times have the rate `fps`,
-    the frames are the poses; elsewhere they are between them, on cubic splines, or in gaps, which
-    are named in the warnings, on straight lines.
+    If several poses are within the same microsecond, the first one is used. If the times have the
+    rate `fps`, the frames are the poses. Otherwise the frames are on cubic splines between the
+    poses, and on straight lines in gaps, which the warnings list.
 
     Args:
-        times: (N,) s, rising.
+        times: (N,) s, increasing.
         q: (N, 29) rad, motor order.
         root_pos: (N, 3) m, the pelvis in the world frame.
-        root_quat_wxyz: (N, 4) likewise, not zero.
-        path: of the recording; the motion gets its name.
-        fps: frames per second; the usual rate of the poses if None.
+        root_quat_wxyz: (N, 4) orientation of the pelvis, not zero.
+        path: path of the recording; the motion gets its name.
+        fps: frame rate; the usual rate of the poses if None.
 
     Raises:
         RecordingError: a value is not finite or too large, or the times are not those of a motion:
-            nothing moves, or for more than 10 s nothing was recorded.
+            time does not advance, or there is a gap of more than 10 s.
         MotionError: `fps` is not a frame rate.
     """
     numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
@@ -575,8 +578,8 @@ def motion_of_poses(
     valid = (np.abs(numbers) <= NUMBER).all(axis=1) & (norms > SMALLEST_QUAT)
     if not valid.all():
         raise RecordingError(
-            f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with a value that "
-            f"no motion has, the first at {np.argmin(valid)}: one that is not finite or beyond "
+            f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with an invalid "
+            f"value, the first at {np.argmin(valid)}: a number that is not finite or beyond "
             f"{NUMBER:g}, or a zero quaternion.",
             "Record the motion again.",
         )
@@ -584,7 +587,8 @@ def motion_of_poses(
     times = times[first]
     if len(times) < 2:
         raise RecordingError(
-            f"The motion of {path} stands still at {times[0]:g} s.", "Record the motion again."
+            f"The times of {path} do not advance: all are {times[0]:g} s.",
+            "Record the motion again.",
         )
     intervals = np.diff(times)
     period = float(np.median(intervals))
@@ -595,7 +599,7 @@ def motion_of_poses(
     paused = intervals[longest] > max(_PAUSE_NS / 1e9, _GAP_PERIODS * period)
     if paused or n_frames > max(FRAMES, 10 * len(times)):
         raise RecordingError(
-            f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples, "
+            f"The motion of {path} lasts {times[-1] - times[0]:g} s, but has {len(times)} samples, "
             f"and none from {times[longest]:g} to {times[longest + 1]:g} s.",
             "Record the motion again.",
         )
@@ -613,8 +617,8 @@ def motion_of_poses(
         root_quat_wxyz=root_quat_wxyz,
         source=path,
         warnings=tuple(
-            f"{path.name}: nothing was recorded for {intervals[i]:.2f} s from {times[i]:.2f} s on, "
-            "where the motion is a straight line"
+            f"{path.name}: nothing was recorded for {intervals[i]:.2f} s from {times[i]:.2f} s on; "
+            "the motion is a straight line there"
             for i in gaps[:_MOST_GAPS]
         ),
     )
@@ -628,7 +632,7 @@ def _interpolated(
     grid: Floats,
     breaks: NDArray[np.intp],
 ) -> tuple[Floats, Floats, Floats]:
-    """At the times of a grid: on cubic splines, but on straight lines before each of the breaks."""
+    """Values on a time grid: cubic splines, and straight lines before each of the breaks."""
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, Slerp
 

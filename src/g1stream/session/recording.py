@@ -1,6 +1,6 @@
 """A recording, from a file, a directory of files or memory, as numpy arrays.
 
-It is what was recorded and nothing that is computed of it; `g1stream.Session` adds that.
+It has only recorded data; `g1stream.Session` adds computed results.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ RecordingT = TypeVar("RecordingT", bound="Recording")
 
 
 class Message(NamedTuple):
-    """One message as it is in the file.
+    """One message of the file.
 
     Attributes:
-        log_time: when the recorder received it, ns since the epoch.
-        publish_time: when its producer published it, ns since the epoch.
-        data: its bytes; of a DDS topic exactly those of the sample, CDR header included.
+        log_time: time of reception by the recorder, ns since the epoch.
+        publish_time: time of publication by its producer, ns since the epoch.
+        data: its bytes; for a DDS topic exactly those of the sample, including the CDR header.
     """
 
     log_time: int
@@ -74,7 +74,7 @@ class Message(NamedTuple):
 
 
 def once(make: Callable[[Recording], T]) -> Callable[[Recording], T]:
-    """Decorate what is computed of a recording: the result is kept as long as the recording."""
+    """Cache the result of a function of a recording, as long as the recording exists."""
 
     @wraps(make)
     def kept(recording: Recording) -> T:
@@ -93,7 +93,7 @@ def has_essentials(topics: Mapping[str, int]) -> bool:
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open a session file, also one whose recorder was killed, to read what was recorded.
+    """Open a session file, also one whose recorder was killed, without analysis.
 
     Args:
         path: of a session file, or of the directory of a split recording.
@@ -111,17 +111,17 @@ class Recording:
     RecordingError where the file is damaged, or a topic that it needs is not in this session.
 
     Args:
-        source: what it is read from; `open_recording` gives the files on disk.
+        source: source of the data; `open_recording` uses the files on disk.
 
     Attributes:
         source: as given.
-        path: of the file or directory; of a session in memory only a name.
-        paths: of the file or its parts, oldest first; empty in memory.
-        absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
-        complete: whether everything is there and was closed properly.
-        unread: bytes at the ends of files that are no whole record, as after a power cut.
+        path: path of the file or directory; for a session in memory only a name.
+        paths: paths of the file or its parts, oldest first; empty in memory.
+        absent_parts: reason, a sentence, by the number of each missing or unreadable part.
+        complete: whether all files exist and were closed properly.
+        unread: bytes at the ends of files that are incomplete records, as after a power failure.
         topics: number of messages by topic, in the whole session.
-        metadata: what stream and recorder wrote about the session.
+        metadata: metadata from stream and recorder.
         computed: results of functions decorated with `once`.
 
     Raises:
@@ -157,7 +157,7 @@ class Recording:
 
     @property
     def converted(self) -> bool:
-        """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
+        """Whether `g1stream convert` made it from a motion, which was not played."""
         return bool(
             self.paths and self.topics.get(CONVERTED) and not self.topics.get(ReferenceStream.topic)
         )
@@ -179,17 +179,17 @@ class Recording:
 
     @property
     def base(self) -> BaseStream | None:
-        """Position of the pelvis; None where it was not published, as by a real robot."""
+        """Position of the pelvis; None if it was not published, for example by a real robot."""
         return self.stream(BaseStream) if self.topics.get(BaseStream.topic) else None
 
     @property
     def torso_imu(self) -> TorsoImuStream | None:
-        """The IMU in the torso; None where it was not published."""
+        """The IMU in the torso; None if it was not published."""
         return self.stream(TorsoImuStream) if self.topics.get(TorsoImuStream.topic) else None
 
     @property
     def policy(self) -> PolicyStream | None:
-        """The steps of a learned policy; None where none played."""
+        """The steps of a learned policy; None if no policy played."""
         if not self.topics.get(PolicyStream.topic):
             return None
         stream = self.stream(PolicyStream)
@@ -199,13 +199,13 @@ class Recording:
 
     @cached_property
     def policy_info(self) -> PolicyInfo | None:
-        """The policy that played, and what it takes and gives; None where that is not known."""
+        """The policy that played, with its inputs and outputs; None if they are unknown."""
         info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
         return info
 
     @cached_property
     def attached(self) -> AttachedInfo | None:
-        """How the reference was found, where it was attached afterwards; None elsewhere."""
+        """How the reference was found, if it was attached afterwards; otherwise None."""
         info, _ = read_record(AttachedInfo, self.metadata.get("attached"), "attached")
         return info
 
@@ -228,7 +228,7 @@ class Recording:
         return stream
 
     def read(self, columns: Mapping[type[Stream], Sequence[str]]) -> None:
-        """Read columns of several streams in one pass, which takes less time than one each.
+        """Read columns of several streams in one pass, which is faster than one pass for each.
 
         Args:
             columns: names by stream, all of its columns if there are none. Of a topic without
@@ -284,7 +284,7 @@ class Recording:
 
     @cached_property
     def robot(self) -> G1:
-        """The robot of the attached URDF; the default one where none is attached.
+        """The robot of the attached URDF; the default one without an attached URDF.
 
         Raises:
             RobotError: the URDF cannot be used.
@@ -357,7 +357,7 @@ class Recording:
 
     @cached_property
     def clock_steps(self) -> list[int]:
-        """By how much the recorder's clock was set, ns, where that is more than any gap."""
+        """Steps of the recorder's clock, ns, that are larger than any gap."""
         info, _ = read_record(SessionInfo, self.metadata)
         steps = [step.step_ns for step in info.clock_steps] if info else []
         return [step for step in steps if abs(step) >= MAX_GAP_NS]
@@ -366,9 +366,9 @@ class Recording:
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
-        That is when the motion's first frame was or would have been published; where nothing was
-        played, the first sample of the reference, or else of the commands or the state; of a
-        converted motion, its first frame.
+        It is the publish time of the motion's first frame, even if that was not played. If no
+        motion was played, it is the first sample of the reference, the commands or the state. For
+        a converted motion it is the first frame.
         """
         if self._whole is not None:
             return self._whole.start_ns
@@ -381,8 +381,8 @@ class Recording:
     def phases(self) -> list[PhaseInterval]:
         """The phases in order, in s on the motion's clock: its first frame is at 0.
 
-        Each lasts until the next one begins, the last until the last sample of the reference.
-        Empty where there is no reference.
+        Each lasts until the next one begins, and the last until the last sample of the reference.
+        It is empty without a reference.
 
         Raises:
             RecordingError: a number stands for no phase.
@@ -398,8 +398,8 @@ class Recording:
         metadata and attachments are those of the whole session.
 
         Args:
-            phase: such as `"PLAY"`.
-            time: s on the motion's clock, such as `slice(2.0, 5.0)`, both included.
+            phase: name of a phase, such as `"PLAY"`.
+            time: s on the motion's clock, such as `slice(2.0, 5.0)`, including both ends.
 
         Raises:
             RecordingError: there is no phase of this name.
@@ -506,7 +506,7 @@ class Recording:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
         if not self.complete:
             return RecordingError(
-                f"The session file {self.path} was cut off before the first sample of {none}.",
+                f"The session file {self.path} ends before the first sample of {none}.",
                 "Copy it again, or record again.",
             )
         header = {"/log", *(topic for topic, channel in CHANNELS.items() if channel.latched)}

@@ -1,7 +1,7 @@
-"""Records: what stream and recorder write as JSON into a session file, and what is read back.
+"""Records that stream and recorder write to a session file as JSON, and that readers read back.
 
 `SessionInfo` is known before the first sample, `StreamSummary` and `RecorderSummary` at the end.
-None stands for what is not known; units are part of the names.
+None means unknown; units are part of the names.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ PhaseName = Annotated[
 
 
 class Record(BaseModel):
-    """What is written as JSON; its numbers are finite."""
+    """A record in JSON. Its numbers are finite."""
 
-    # A file of another version may have more fields, or fewer.
-    # Each is built when it is first used: a stream starts without most of them.
+    # Unknown fields are ignored and missing ones get defaults, for files of other versions.
+    # Models are built at first use, because a stream starts without most of them.
     model_config = ConfigDict(
         extra="ignore", allow_inf_nan=False, validate_default=False, defer_build=True
     )
@@ -81,16 +81,16 @@ RecordT = TypeVar("RecordT", bound=BaseModel)
 def read_record(
     kind: type[RecordT], values: Any, where: str = ""
 ) -> tuple[RecordT | None, list[str]]:
-    """A record from the metadata of a session file, whoever wrote it.
+    """Read a record from the metadata of a session file, and skip invalid fields.
 
     Args:
-        kind: the class of the record; all its fields have defaults.
-        values: as they are in the file; None where there are none.
-        where: the key that they are under, for the sentences.
+        kind: class of the record; all its fields have defaults.
+        values: values from the file; None without values.
+        where: their key, for messages.
 
     Returns:
-        The record without the fields whose values are not valid, None where there is no record at
-        all; and a sentence for each value that was left out.
+        The record without fields with invalid values, or None without a record; and a sentence for
+        each value that was skipped.
     """
     if values is None:
         return None, []
@@ -110,7 +110,7 @@ def read_record(
 
 
 class Percentiles(Record):
-    """Of a latency or lateness; the field that it is in names the unit."""
+    """Percentiles of a latency or lateness. The name of the containing field gives the unit."""
 
     p50: float
     p99: float
@@ -119,7 +119,7 @@ class Percentiles(Record):
 
 
 class PhaseInterval(Record):
-    """A phase from start to end, s on the motion's clock: its first frame is at 0."""
+    """A phase from start to end, s on the motion's clock, which is 0 at the first frame."""
 
     phase: PhaseName
     start_s: float
@@ -127,7 +127,7 @@ class PhaseInterval(Record):
 
     @property
     def duration_s(self) -> float:
-        """How long it lasted, s."""
+        """Its duration, s."""
         return self.end_s - self.start_s
 
 
@@ -135,14 +135,14 @@ class MotionInfo(Record):
     """The motion that was played.
 
     Attributes:
-        name: of the motion.
-        fps: frames per second of its file.
-        frames: how many.
-        sha256: of its file.
-        content_sha256: of its frames, see `Motion.content_sha256`.
+        name: name of the motion.
+        fps: frame rate of its file.
+        frames: number of frames.
+        sha256: hash of its file.
+        content_sha256: hash of its frames, see `Motion.content_sha256`.
         source: path of its file.
-        operations: what was done to the motion in the file, in this order.
-        parts: the motions that it was joined of, in their order.
+        operations: changes to the motion in the file, in order.
+        parts: the motions that were joined, in order.
     """
 
     name: str | None = None
@@ -170,17 +170,17 @@ class MotionInfo(Record):
 
     @property
     def duration_s(self) -> float | None:
-        """From the first frame to the last, s."""
+        """Time from the first frame to the last, s."""
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
 class ParametersInfo(Record):
-    """The parameters of the robot that were in use, see `g1stream.robot.parameters`.
+    """The robot's parameters, see `g1stream.robot.parameters`.
 
     Attributes:
-        path: of their file.
-        sha256: of that file.
-        values: as the file has them.
+        path: path of their file.
+        sha256: hash of that file.
+        values: values in the file.
     """
 
     path: str | None = None
@@ -189,7 +189,7 @@ class ParametersInfo(Record):
 
     @classmethod
     def from_robot(cls, robot: G1) -> ParametersInfo | None:
-        """Those of a robot; None where it has the default ones."""
+        """The parameters of a robot; None for the default ones."""
         parameters = robot.parameters
         if parameters.path is None:
             return None
@@ -198,7 +198,7 @@ class ParametersInfo(Record):
         )
 
     def __str__(self) -> str:
-        """In a line: the file, and how many values of each kind, or the one."""
+        """One line with the file, and the values or their numbers by kind."""
         parts = [Path(self.path).name if self.path else "unknown"]
         for name, value in self.values.items():
             what = name.replace("_", " ")
@@ -213,12 +213,12 @@ class PolicyInfo(Record):
     """The learned policy that played.
 
     Attributes:
-        path: of its ONNX file.
-        sha256: of that file.
-        data_sha256: of the file beside it that has its weights; None where there is none.
-        trained_mean, trained_std: of each value of the observation in training, where the network
-            normalises by them; empty where it does not.
-        contract: what it takes and gives, as `g1stream policy --json` prints it.
+        path: path of its ONNX file.
+        sha256: hash of that file.
+        data_sha256: hash of its external weights; None without external weights.
+        trained_mean, trained_std: statistics of each observation value in training, if the network
+            normalises with them; otherwise empty.
+        contract: its inputs and outputs, as from `g1stream policy --json`.
     """
 
     path: str | None = None
@@ -230,7 +230,7 @@ class PolicyInfo(Record):
 
     @property
     def columns(self) -> dict[str, slice]:
-        """Where each term is in the observation, by name; empty where the file does not tell."""
+        """Columns of each term in the observation, by name; empty if they are unknown."""
         try:
             sizes = [(str(one["name"]), int(one["size"])) for one in self.contract["terms"]]
         except (KeyError, TypeError, ValueError, OverflowError):
@@ -242,28 +242,27 @@ class PolicyInfo(Record):
 
 
 AttachedBy = Literal["commands", "arm commands", "measured joints"]
-"""What tells when a motion was played."""
+"""Data in which a motion was found."""
 
 
 class AttachedInfo(Record):
     """Where a motion was found in a session that was recorded without a reference.
 
     Attributes:
-        by: what was compared with the motion. By measured joints a robot that is late cannot be
-            told from a motion that began later.
-        start_s: when the motion's first frame was or would have been played, after the first sample
-            of what was compared.
-        speed: seconds of the motion in a second of the session.
-        first_s, last_s: the part of the motion that was played.
-        similarity: normalised cross-correlation of all joints' velocities in that part, up to 1.
-        rmse_rad: of the positions compared, without the mean error of each joint.
-        rival: similarity of the second best place in the motion; None where no other is similar.
-        play, plays: which time it is that the motion was played in the session, from 1, and how
-            often it was.
-        starts_s: when each of them began, with the part that was played, after the first sample.
-        heading_from: of the reference: imu, or none, where it is the motion's own.
-        place_from: of the reference: sportmodestate, or none, likewise.
-        moves: whether the measured pelvis went about as far as the motion's, which tells that the
+        by: data that was compared with the motion. With measured joints, a delay of the robot has
+            the same effect as a later start.
+        start_s: time of the motion's first frame, even if that was not played, after the first
+            sample of this data.
+        speed: seconds of the motion per second of the session.
+        first_s, last_s: the played part of the motion.
+        similarity: normalised cross-correlation of all joint velocities in that part, up to 1.
+        rmse_rad: of the compared positions, without the mean error of each joint.
+        rival: similarity of the second best place in the motion; None if no other is similar.
+        play, plays: number of this playback in the session, from 1, and number of all.
+        starts_s: start of each playback with the played part, after the first sample.
+        heading_from: source of the reference's heading: imu, or none for the motion's own.
+        place_from: source of the reference's place: sportmodestate, or none for the motion's own.
+        moves: whether the measured pelvis moved about as far as the motion's, which means that the
             robot was not held.
     """
 
@@ -284,33 +283,33 @@ class AttachedInfo(Record):
 
     @property
     def by_robot(self) -> bool:
-        """Whether the robot told when the motion began, so that no delay of it is known."""
+        """Whether measured joints gave the start of the motion, so that their delay is unknown."""
         return self.by == "measured joints"
 
 
 class ClockStep(Record):
-    """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
+    """CLOCK_REALTIME was set by `step_ns`, to `at_ns`."""
 
     at_ns: Int | None = None
     step_ns: Int
 
 
 class SessionInfo(Record):
-    """What is known of a session before its first sample: the file's metadata as it begins.
+    """The file's metadata that are known before the first sample.
 
     Attributes:
         g1stream: version that recorded it.
-        versions: of the packages that it used.
-        log: what was made of the log of another program; empty of a session.
+        versions: versions of the packages that it used.
+        log: how another program's log was interpreted; empty for a session.
         host, domain, interface: where it was recorded.
-        log_clock: that of the log times; of a rollout it begins with "simulated".
-        clock_steps: when it was set while this was recorded, and by how much.
-        motion: what is played.
+        log_clock: clock of the log times; for a rollout it begins with "simulated".
+        clock_steps: times and sizes of steps of this clock during the recording.
+        motion: the motion that is played.
         gains: kp in N·m/rad and kd in N·m·s/rad, 29 each, motor order.
-        joints: names of those that play the motion; None in files of earlier versions: all.
-        absent: names of those that the robot does not have.
-        policy: that plays; None where none does.
-        params: parameters of the robot that were given; None for the default ones.
+        joints: names of the joints that play the motion; None in files of earlier versions: all.
+        absent: names of the joints that the robot lacks.
+        policy: the policy that plays; None without a policy.
+        params: given parameters of the robot; None for the default ones.
         config: all settings of the streamer.
     """
 
@@ -343,10 +342,10 @@ class SessionInfo(Record):
 
         Args:
             config: all settings.
-            robot: that plays it.
-            motion: what is played.
+            robot: robot that plays it.
+            motion: the motion.
             gains: arrays (29,) by the names in `Gains`.
-            policy: that plays it.
+            policy: policy that plays it.
         """
         params = ParametersInfo.from_robot(robot)
         told: dict[str, Any] = {"policy": policy} if policy else {}
@@ -364,12 +363,12 @@ class SessionInfo(Record):
 
 
 class Finding(Record):
-    """The result of a check: why no command was sent, or what the doctor says.
+    """Result of a check: why no command was sent, or a finding of the doctor.
 
     Attributes:
-        about: what was checked, in a word or two.
-        cause: what was found.
-        remedy: what to do about it; empty where there is nothing to do.
+        about: subject of the check, in a word or two.
+        cause: the finding.
+        remedy: what to do; empty if nothing needs to be done.
     """
 
     about: str
@@ -381,9 +380,9 @@ class FeedForwardChange(Record):
     """The feed-forward torque was switched off, or on again.
 
     Attributes:
-        motion_time_s: when in the motion.
-        kind: of feed-forward from then on.
-        reason: why; empty where the reason to do without is gone.
+        motion_time_s: time in the motion.
+        kind: kind of feed-forward from then on.
+        reason: why; empty if the reason for the change before has ended.
     """
 
     motion_time_s: float
@@ -392,17 +391,17 @@ class FeedForwardChange(Record):
 
 
 class BalanceSummary(Record):
-    """How near a robot on its feet was to falling: the worst values of PLAY and HOLD.
+    """How close a robot on its feet was to falling: the worst values of PLAY and HOLD.
 
     Attributes:
         capture_margin_m: from the capture point to the edge of the soles; negative outside.
-        tilt_rad: of the pelvis against the reference.
+        tilt_rad: tilt of the pelvis against the reference.
         height_error_m: of the pelvis, above or below the reference.
-        feet_error_m: of the one foot's place beside the other, while both stand: it slipped, or
-            was put down elsewhere.
-        carried: share of the weight on the feet; the rest is in the air, or hangs from a band.
-        lifts: how often a foot was lifted.
-        unsolved_ticks: without forces of the floor that keep the robot on its feet.
+        feet_error_m: shift of one foot relative to the other while both stand: it slipped, or was
+            put down elsewhere.
+        carried: fraction of the weight on the feet; the rest is in the air, or hangs from a band.
+        lifts: number of lifts of a foot.
+        unsolved_ticks: ticks without contact forces that keep the robot on its feet.
     """
 
     capture_margin_m: float
@@ -415,49 +414,50 @@ class BalanceSummary(Record):
 
 
 class StreamSummary(Record):
-    """What the stream counted.
+    """Counters and results of the stream.
 
     Attributes:
-        reason: why it ended early; empty when it ended as asked.
-        start_s: where in the motion it was to begin.
-        slowed: factor by which the motion was slowed to fit the joints' speeds; 1 where it was not.
-        commands: LowCmds written.
-        rate_hz, nominal_rate_hz: LowCmds per second, achieved and asked for.
-        lateness_us: of each write against its deadline; a skipped tick has no write.
-        skipped_ticks: left out because they were a whole period late or more.
+        reason: why it ended early; empty if it ended as asked.
+        start_s: requested start in the motion.
+        slowed: factor by which the motion was slowed to keep the joints' speed limits, or 1.
+        commands: number of LowCmds written.
+        rate_hz, nominal_rate_hz: LowCmds per second, achieved and nominal.
+        lateness_us: each write minus its deadline; a skipped tick has no write.
+        skipped_ticks: ticks that were a whole period late or more.
         worst_work_us: longest time from a write to the end of the tick's computation.
         ramp_s: length of RAMP.
-        ramp_speed_rad_s: highest speed of `ramp_joint`, the joint with the longest way, in it.
-        delay_s: by which the motion ended later, because the loop stalled.
-        waited_s: by which it ended later, because it kept to the robot's time; None where it does
-            not.
-        clamped_ticks: joint -> ticks at which its target was held at a position limit, most first.
-        speed_limited_ticks: joint -> ticks at which its target was held back to its highest speed.
-        torque_limited_ticks: joint -> ticks at which its target was brought nearer to the measured
-            position, because the servo would have asked for more torque than the motor has.
-        saturated_ticks: joint -> ticks at which its feed-forward torque was held at its limit.
-        feedforward: what commands carried beside the position when RAMP began.
-        support: how the robot was taken to be held.
-        preview_s: by which commands were ahead of the reference (`stream.preview`).
-        feedforward_changes: when the torque was switched off and on again, in order.
-        balance: of a robot on its feet.
-        robot: name of the model that feed-forward torques were computed with.
-        time_scale: median of simulated over real time, where it was measured.
-        command_delay_s: longest age of the commands that the motors' torques followed, because
-            they had waited in a queue; 0 where it was below 0.1 s, None where it is unknown.
+        ramp_speed_rad_s: highest speed in RAMP of `ramp_joint`, the joint with the longest way.
+        delay_s: delay of the motion's end because the loop stalled.
+        waited_s: delay of the motion's end because it followed the robot's time; None if it does
+            not follow it.
+        clamped_ticks: joint -> ticks in which its target was clamped to a position limit, most
+            first.
+        speed_limited_ticks: joint -> ticks in which its target was limited to its highest speed.
+        torque_limited_ticks: joint -> ticks in which its target was moved towards the measured
+            position, because the servo would have exceeded the motor's torque limit.
+        saturated_ticks: joint -> ticks in which its feed-forward torque was clamped to its limit.
+        feedforward: kind of feed-forward at the start of RAMP.
+        support: assumed support of the robot.
+        preview_s: time by which commands were ahead of the reference (`stream.preview`).
+        feedforward_changes: changes of the feed-forward torque, in order.
+        balance: for a robot on its feet.
+        robot: name of the model of the feed-forward torques.
+        time_scale: median of simulated over real time, if it was measured.
+        command_delay_s: longest age of the commands that the motors' torques followed, because they
+            had waited in a queue; 0 if it was below 0.1 s, None if it is unknown.
         states_used: LowStates that were the newest at a tick.
         states_wrong_crc: LowStates that were dropped because of their CRC.
-        states_received: all of them.
-        states_lost: LowStates that did not arrive, by the ticks of those that did; None where the
-            publisher is not our own bridge, whose ticks number its LowStates.
-        dds_lost: LowStates that DDS itself reports as lost.
-        tick_jumps: steps of LowState's tick that skipped at least one; of another publisher than
-            our bridge no more than a hint, because unitree_mujoco's ticks jump without a loss.
+        states_received: all received LowStates.
+        states_lost: missing LowStates by the ticks of the others; None if the publisher is not
+            g1stream's bridge, whose ticks number its LowStates.
+        dds_lost: LowStates that DDS reports as lost.
+        tick_jumps: steps of LowState's tick that skipped at least one. For publishers other than
+            g1stream's bridge only a hint, because unitree_mujoco's ticks jump without a loss.
         states_malformed: samples on the topic that were no LowState.
-        state_restarts: how often the ticks of LowState began anew.
+        state_restarts: how often the ticks of LowState restarted.
         commands_dropped: LowCmds that could not be written at once.
-        realtime: what was asked of the system to be on time, and what it granted.
-        findings: where no command was sent, what DDS shows of why, and what to do.
+        realtime: requested and granted real-time properties of the system.
+        findings: causes and remedies on DDS if no command was sent.
         lateness_histogram_us: lower edge of a 1 us bin -> ticks.
     """
 
@@ -502,13 +502,13 @@ class StreamSummary(Record):
 
 
 class TopicDelay(Record):
-    """How long the messages of a topic took.
+    """Latency of a topic's messages.
 
     Attributes:
-        hosts: of the publishers.
-        median_ns: of log minus publish time, in the last minutes.
-        clock_offset_estimate_ns: where a publisher is on another host, that median as the offset
-            between the clocks, transit included.
+        hosts: hosts of the publishers.
+        median_ns: median of log minus publish time, in the last minutes.
+        clock_offset_estimate_ns: that median as an estimate of the clocks' offset, including the
+            transit time, if a publisher is on another host.
     """
 
     hosts: list[str] = []
@@ -520,7 +520,7 @@ class MeasuredTf(Record):
     """How the measured robot was placed in the world of the reference.
 
     Attributes:
-        yaw_offset_rad: what was added to the measured yaw; None where no attitude was known.
+        yaw_offset_rad: angle added to the measured yaw; None without a known attitude.
         position_from: sportmodestate, reference or none.
     """
 
@@ -529,27 +529,27 @@ class MeasuredTf(Record):
 
 
 class RecorderSummary(Record):
-    """What a recording holds, and what it lacks; topics are those of the file.
+    """Contents of a recording, and losses. Topics are those of the file.
 
     Attributes:
         path: the file, or the directory of its parts.
         paths: the files.
         removed: whether they were removed, because nothing was received.
         first_ns, last_ns: log times of the first and the last sample, since the epoch.
-        counts: messages by topic.
-        absent: topics of DDS that nobody published.
-        lost: by topic, samples known to be lost.
-        malformed: by topic, samples that were not of its type and are not in the file.
-        publishers: by topic of the state and of commands, the programs that published at the same
-            time; empty where there was one.
-        dropped_datagrams: received by the kernel, and discarded because its buffer was full; of
-            which topic is not known.
-        stopped: why the recording ended before it was told to; empty when it did not.
+        counts: number of messages by topic.
+        absent: DDS topics without a publisher.
+        lost: number of samples known to be lost, by topic.
+        malformed: number of samples of another type, which are not in the file, by topic.
+        publishers: programs that published at the same time, by topic of the state and of commands;
+            empty with one publisher.
+        dropped_datagrams: datagrams that the kernel discarded because its buffer was full; their
+            topic is unknown.
+        stopped: why the recording ended before it was stopped; otherwise empty.
         realtime_minus_monotonic_ns: the two clocks of this host, at the first and last reading.
-        clock_steps: when CLOCK_REALTIME was set, and by how much.
+        clock_steps: times and sizes of steps of CLOCK_REALTIME.
         delays: by topic.
         measured_tf: how the measured robot was placed.
-        warnings: those in the log, as `g1stream.session.streams.warnings_in` tells them.
+        warnings: warnings in the log, from `g1stream.session.streams.warnings_in`.
     """
 
     path: str = ""
@@ -572,6 +572,6 @@ class RecorderSummary(Record):
 
     @property
     def complete(self) -> bool:
-        """Whether, as far as is known, everything published until the end is in the file."""
+        """Whether the file is known to have all samples published until the end."""
         lacking = (self.dropped_datagrams, *self.lost.values(), *self.malformed.values())
         return not self.stopped and not any(lacking)

@@ -1,6 +1,6 @@
-"""Writes the index of a session file whose recorder was killed, as viewers need it.
+"""Adds the index, which viewers need, to a session file whose recorder was killed.
 
-All that can be read is written into a new file, which replaces the original when it is complete.
+All readable records are written to a new file, which replaces the original when it is complete.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ __all__ = ["Repair", "repair_session"]
 
 
 class Repair(NamedTuple):
-    """What was done to a file.
+    """The result for one file.
 
     Attributes:
-        path: of the file.
-        messages: in the file.
-        dropped: bytes at its end that were no whole record; None if it had its index already.
+        path: path of the file.
+        messages: number of messages in the file.
+        dropped: size of the incomplete record at its end, bytes; None if it already had its index.
     """
 
     path: Path
@@ -37,18 +37,18 @@ class Repair(NamedTuple):
 
 
 def repair_session(path: Path) -> list[Repair]:
-    """Write the index of a session's files, where it is missing.
+    """Add the missing index to the files of a session.
 
     Args:
-        path: of a session file, or of the directory of a split recording; files in it that are
-            absent or cannot be read stay as they are, and the others are repaired.
+        path: a session file, or the directory of a split recording. Files in it that are absent
+            or unreadable are not changed, and the others are repaired.
 
     Returns:
-        What was done, file by file.
+        The result for each file.
 
     Raises:
         RecordingError: a file is no session, damaged, still being recorded, or cannot be written.
-            It is then unchanged.
+            That file is not changed.
     """
     files = parts_of(path)
     if files == [path]:
@@ -74,7 +74,7 @@ def repair_session(path: Path) -> list[Repair]:
 
 def _repair_file(path: Path) -> Repair:
     with open_mcap(path) as file:
-        _lock(file, path)  # first: a recorder that ends now still writes
+        _lock(file, path)  # first, because a recorder that ends now still writes
         source = McapFile(path)
         messages = source.counts.total()
         if source.indexed:
@@ -88,11 +88,11 @@ def _repair_file(path: Path) -> Repair:
 
 
 def _copy(source: McapFile, path: Path) -> None:
-    """Write all that a file has into a new one, with its index."""
+    """Write the content of a file to a new one, with its index."""
     unknown = sorted(source.ambiguous | (source.counts.keys() - source.channels.keys()))
     if unknown:
         raise RecordingError(
-            f"{source.path} describes {unknown[0]} not at all, or in several ways.", RECOVER
+            f"{source.path} has no description of {unknown[0]}, or several.", RECOVER
         )
     writer = McapWriter(path, source.channels, profile=source.profile)
     writer.path = source.path
@@ -111,7 +111,7 @@ def _copy(source: McapFile, path: Path) -> None:
 
 
 def _lock(file: IO[bytes], path: Path) -> None:
-    """Check that no recorder has the file open: it holds a lock until it ends."""
+    """Check that no recorder has the file open. A recorder holds a lock until it ends."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:

@@ -1,6 +1,6 @@
-"""What a `Recording` is read from: files on disk, or messages collected in memory.
+"""Sources of a `Recording`: files on disk, or messages in memory.
 
-`SessionFiles` reads from disk; `MemorySource` serves what was written into it, so that a run in
+`SessionFiles` reads from disk. `MemorySource` returns what was written to it, so that a run in
 lockstep gives a session without a file:
 
     source = MemorySource("rollout")
@@ -37,14 +37,14 @@ class SessionSource(ABC):
     """The messages, metadata and attachments of one session.
 
     Attributes:
-        path: the file or directory; of a session in memory only a name for error messages.
-        paths: the files it was read from, oldest first; empty in memory.
+        path: the file or directory; for a session in memory only a name for error messages.
+        paths: the files that it was read from, oldest first; empty in memory.
         topics: number of messages by topic.
         metadata: the values of all metadata records; a later one replaces an earlier one.
-        complete: whether all parts are there and were closed properly.
-        unread: bytes at the ends of files that are no whole record.
-        absent_parts: by number, as in their names, of the parts that are missing or cannot be
-            read: why, a sentence.
+        complete: whether all parts exist and were closed properly.
+        unread: bytes at the ends of files that are incomplete records.
+        absent_parts: reason, a sentence, by the number of each part that is missing or cannot be
+            read, as in its name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,7 +58,7 @@ class SessionSource(ABC):
 
     @abstractmethod
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, batch by batch; the batches of a topic are in order.
+        """The messages of some topics in batches; the batches of a topic are in order.
 
         Raises:
             RecordingError: the file is damaged.
@@ -74,10 +74,10 @@ class SessionSource(ABC):
 
 
 class FilesSource(SessionSource):
-    """Files of messages, read as one, with topics as a session has them."""
+    """Several message files read as one, with the topics of a session."""
 
     def _read_from(self, files: Sequence[RecordingFile]) -> None:
-        """Serve the messages of some files, in their order."""
+        """Use the messages of some files, in their order."""
         self._of_messages = files
         counts = sum((file.counts for file in files), Counter[str]())
         self._names = _session_topics(counts)
@@ -85,7 +85,7 @@ class FilesSource(SessionSource):
         self.unread = sum(file.unread for file in files)
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, batch by batch, in the order of the files."""
+        """The messages of some topics in batches, in the order of the files."""
         names = {self._names[topic]: topic for topic in topics if topic in self._names}
         for file in self._of_messages:
             for name, messages in file.batches(set(names)):
@@ -93,10 +93,10 @@ class FilesSource(SessionSource):
 
 
 def _session_topics(counts: Mapping[str, int]) -> dict[str, str]:
-    """By topic of a session: the topic of a file that is the same, such as `/rt/lowstate`.
+    """The session's topic -> the same topic in a file, such as `/rt/lowstate`.
 
     Args:
-        counts: messages by topic of the file. One that has none gives way to one that has some.
+        counts: number of messages by topic in the file. Topics with messages are preferred.
     """
     topics = {topic: topic for topic in counts}
     for topic in sorted(counts, key=lambda one: counts[one]):
@@ -140,10 +140,10 @@ class SessionFiles(FilesSource):
 
 
 class MemorySource(SessionSource):
-    """A session in memory: written like a file with `SessionWriter`, read as a `SessionSource`.
+    """A session in memory: written with the methods of `SessionWriter`, read as a `SessionSource`.
 
     Args:
-        name: shown where a file's path would be, as in error messages.
+        name: shown instead of a path, as in error messages.
     """
 
     def __init__(self, name: str = "memory") -> None:
@@ -169,11 +169,11 @@ class MemorySource(SessionSource):
             self.write(topic, bytes(data), log_time, publish_time)
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
-        """Add metadata: anything that JSON can say, and numpy arrays, which become lists."""
+        """Add metadata: JSON values, and numpy arrays, which become lists."""
         self.metadata |= metadata_from_strings(metadata_to_strings(values))
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Add a file; media type and time are what a file on disk would say of it."""
+        """Add a file. Media type and time are for files on disk, and unused here."""
         self._attachments[name] = data
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
@@ -189,12 +189,12 @@ class MemorySource(SessionSource):
 
 
 class ExtendedSource(SessionSource):
-    """A session with messages, metadata and attachments that were added to it afterwards.
+    """A session with messages, metadata and attachments added to it.
 
     Args:
         source: the session.
-        added: topics that the session does not have. Metadata and attachments replace those of the
-            same name.
+        added: topics that the session does not have. Its metadata and attachments replace those
+            with the same name.
     """
 
     def __init__(self, source: SessionSource, added: MemorySource) -> None:
@@ -206,7 +206,7 @@ class ExtendedSource(SessionSource):
         self.metadata = source.metadata | added.metadata
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics: the session's, then those that were added."""
+        """The messages of some topics: those of the session, then the added ones."""
         yield from self._source.batches(topics - self._added.topics.keys())
         yield from self._added.batches(topics)
 

@@ -49,7 +49,7 @@ __all__ = [
 
 _TIMES: Final = ("log_time", "publish_time")
 
-#: If half of the messages take longer than this, ns, it is the clocks that differ.
+#: If half of the messages take longer than this, ns, the clocks differ.
 _SLOWEST_WIRE: Final = 20_000_000
 
 StreamT = TypeVar("StreamT", bound="Stream")
@@ -207,12 +207,11 @@ class Stream:
 
     @property
     def clock_offset(self) -> int:
-        """What must be added to publish times to be on the recorder's clock, ns.
+        """Offset to add to publish times to get the recorder's clock, ns.
 
-        No message arrives before it is sent, and few take longer than 20 ms: if half of them seem
-        to, producer and recorder have clocks that differ. The median of log_time - publish_time is
-        then taken for the difference; it is too large by the usual latency, which nobody can tell
-        from it.
+        No message arrives before it is sent, and few take longer than 20 ms. If half of them seem
+        to, the clocks of producer and recorder differ. The offset is then the median of log_time -
+        publish_time, which is too large by the usual latency; the two cannot be separated.
         """
         if not len(self):
             return 0
@@ -225,7 +224,7 @@ def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same array, which nobody may write to any more."""
+    """The same array, made read-only."""
     values.setflags(write=False)
     return values
 
@@ -321,19 +320,19 @@ class PolicyStream(Stream):
 
     Attributes:
         tick: (N,) of the Reference beside that command.
-        step: (N,) since the policy took the robot over, at 0.
-        repeated: (N,) how often in a row the last finite action has stood in for one that is not; 0
-            for a finite one.
-        state_published: (N,) uint64, ns since the epoch: the `publish_time` of the LowState that
-            was observed; 0 where that is not known.
+        step: (N,) step of the policy, 0 when it took over the robot.
+        repeated: (N,) number of consecutive repetitions of the last finite action because the new
+            one was not finite; 0 for a finite action.
+        state_published: (N,) uint64, ns since the epoch: `publish_time` of the observed LowState;
+            0 if unknown.
         state_received: (N,) uint64, ns since the epoch, when the streamer received it.
-        state_age: (N,) s from then to the observation.
-        motion_time: (N,) s, of the reference that was observed.
+        state_age: (N,) s from its reception to the observation.
+        motion_time: (N,) s, of the observed reference.
         inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
-        n_observation: (N,) how many values are observed.
-        observation: (N, K) float32, as the network took it.
-        action: (N, 29) float32, as the network gave it, motor order.
-        terms: by name, the columns of `observation`; empty where the session does not tell.
+        n_observation: (N,) number of observed values.
+        observation: (N, K) float32, input of the network.
+        action: (N, 29) float32, output of the network, motor order.
+        terms: columns of `observation` by term; empty if they are unknown.
     """
 
     topic = "/policy"
@@ -404,7 +403,7 @@ class CommandStream(Stream):
 
 
 class ArmCommandStream(CommandStream):
-    """The targets for arms and waist that the robot's own controller was given."""
+    """The targets for arms and waist that were sent to the robot's own controller."""
 
     topic = "/arm_sdk"
     source = messages.ARM_SDK
@@ -505,9 +504,9 @@ class LogEvent(NamedTuple):
 
     Attributes:
         time: when it happened, ns since the epoch.
-        level: DEBUG, INFO, WARNING, ERROR or FATAL; UNKNOWN where it is none of these.
-        name: the program that logged it.
-        text: what happened.
+        level: DEBUG, INFO, WARNING, ERROR or FATAL; otherwise UNKNOWN.
+        name: name of the program that logged it.
+        text: the message.
     """
 
     time: int
@@ -539,7 +538,7 @@ class LogEvent(NamedTuple):
 
 
 def warnings_in(log: Iterable[LogEvent], last_command: int) -> list[str]:
-    """The warnings and errors in a log; of those that differ in their numbers only, the last.
+    """The warnings and errors in a log; of messages that differ only in numbers, the last.
 
     What the guard logs is left out, and a simulator that tells that commands have stopped after the
     last of all: then their program has ended.

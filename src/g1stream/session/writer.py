@@ -1,7 +1,7 @@
-"""Writes a session as it happens: into one file, or into a directory of parts.
+"""Writes a session while it is recorded, to one file or to a directory of parts.
 
-Messages wait for a quarter of a second of log time and are then written, a chunk for each topic;
-that much at most is lost when the program is killed.
+Messages are buffered for a quarter of a second of log time and then written as a chunk for each
+topic. A killed program loses at most that time.
 """
 
 from __future__ import annotations
@@ -41,36 +41,37 @@ if TYPE_CHECKING:
 __all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_policy"]
 
 LARGEST_MOTION: Final = 16 * 2**20
-"""A larger motion file is not attached, bytes; its SHA-256 is in the metadata in any case."""
+"""A larger motion file is not attached, bytes. Its SHA-256 is always in the metadata."""
 
 _CHUNK_NS: Final = 250_000_000
-#: Chunks are written by time; by size only if something floods the file.
+#: Chunks are written by time, and by size only at very high rates.
 _CHUNK_BYTES: Final = 32 * 2**20
 
 
 class SessionWriter:
-    """A session being written; a context manager.
+    """Writes a session; a context manager.
 
-    Leaving the context closes the file properly even on an exception or Ctrl-C. So does a full
-    disk: what did not fit is dropped, and there is room for the last metadata and the index.
+    Leaving the context closes the file properly, even after an exception or Ctrl-C. On a full disk
+    the messages that do not fit are dropped, and space is reserved for the last metadata and the
+    index.
 
     Args:
-        path: of the file; its directory must exist. Parts go into a directory called after it.
-        force: replace a file that is there, or a directory that g1stream recorded.
+        path: path of the file; its directory must exist. Parts go to a directory named after it.
+        force: replace an existing file, or a directory that g1stream recorded.
         split_bytes: size at which a part ends, without the file header that every part has.
-        split_ns: log time after which a part ends. Without either there is one file.
-        file_header: called at the start of each file to write what every part must have.
-        channels: those that messages may be written to, by topic.
-        compression: of the chunks.
+        split_ns: log time after which a part ends. Without both there is one file.
+        file_header: called at the start of each file to write the content of every part.
+        channels: channels that may be written, by topic.
+        compression: compression of the chunks.
 
     Attributes:
         path: the file, or the directory of the parts.
-        paths: the files written, oldest first.
-        counts: messages taken so far, in all parts, by topic.
+        paths: the written files, oldest first.
+        counts: number of messages in all parts by topic, including buffered ones.
 
     Raises:
-        RecordingError: something is there that may not be replaced. Every method raises it where
-            the disk is full, or the file cannot be written for another reason.
+        RecordingError: something exists that may not be replaced. Every method raises it if
+            the disk is full, or if the file cannot be written for another reason.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class SessionWriter:
         self.path = parts_directory(Path(path)) if self._split else Path(path)
         check_recording_path(Path(path), split=self._split, force=force)
         self.paths = [part_path(self.path, 0) if self._split else self.path]
-        # An old recording stays until the first sample of the new one is written.
+        # An old recording is kept until the first sample of the new one is written.
         self._replaces = os.path.lexists(self.path)
         self._place = temporary_path(self.path) if self._replaces else self.path
         try:
@@ -122,13 +123,13 @@ class SessionWriter:
         self.close()
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Add one message; its sequence number counts the topic's messages from 1.
+        """Add one message. Its sequence number counts the topic's messages from 1.
 
         Args:
-            topic: of one of the channels.
+            topic: topic of one of the channels.
             data: the message in the encoding of its channel.
-            log_time: when it was received, ns since the epoch.
-            publish_time: when its producer published it, ns since the epoch.
+            log_time: receive time, ns since the epoch.
+            publish_time: ns since the epoch.
         """
         self.write_batch(topic, (data,), (log_time,), (publish_time,))
 
@@ -139,7 +140,7 @@ class SessionWriter:
         log_times: ArrayLike,
         publish_times: ArrayLike,
     ) -> None:
-        """Add messages of one topic, which go into the same chunk; see `MessageBatch`.
+        """Add messages of one topic to the same chunk; see `MessageBatch`.
 
         Raises:
             ValueError: the lengths differ.
@@ -165,32 +166,32 @@ class SessionWriter:
             self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Add a file, such as the URDF.
+        """Attach a file, such as the URDF.
 
         Args:
-            name: what to call it, such as `g1.urdf`.
+            name: name of the attachment, such as `g1.urdf`.
             media_type: such as `text/csv`.
             data: its content.
-            time_ns: when it was there, ns since the epoch.
+            time_ns: its time, ns since the epoch.
         """
         self._file.attach(name, media_type, data, time_ns)
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
-        """Add to the session's metadata; a later value of a key replaces an earlier one.
+        """Add to the session's metadata. A later value of a key replaces an earlier one.
 
         Args:
-            values: anything that JSON can say, and numpy arrays.
+            values: JSON values, and numpy arrays.
 
         Raises:
-            TypeError: a value is something else.
+            TypeError: a value is neither.
         """
         self._file.add_metadata(values)
 
     def flush_if_due(self, now_ns: int) -> None:
-        """Write the chunks that are due, and go on in the next part if this one is full.
+        """Write the chunks that are due, and start the next part if this one is full.
 
         Args:
-            now_ns: the time on the clock of the log times, ns since the epoch.
+            now_ns: current time on the clock of the log times, ns since the epoch.
         """
         if self._is_due(now_ns):
             self.flush()
@@ -201,10 +202,10 @@ class SessionWriter:
             self._part_start = now_ns
 
     def flush(self, *, last: bool = False) -> None:
-        """Write the messages that wait; what does not fit on the disk is dropped.
+        """Write the buffered messages. Those that do not fit on the disk are dropped.
 
         Args:
-            last: whether the space that is kept for the end of a file may be used.
+            last: whether this may use the space that is reserved for the end of a file.
         """
         pending, self._pending = self._pending, {}
         self._pending_bytes, self._chunk_start = 0, None
@@ -221,10 +222,10 @@ class SessionWriter:
             self._replace()
 
     def close(self) -> None:
-        """Write what waits and the index, and close the file; once is enough.
+        """Write the buffered messages and the index, and close the file. It may be called again.
 
-        If that fails, the file reads up to its last whole chunk. A recording without a sample does
-        not replace an old one: it is removed, and `paths` is empty.
+        If that fails, the file is readable up to its last whole chunk. A recording without samples
+        does not replace an old one: it is removed, and `paths` is empty.
         """
         if self._closed:
             return
@@ -237,11 +238,11 @@ class SessionWriter:
                 remove_recording(self._place)
                 self.paths = []
             elif self._split:
-                with suppress(RecordingError):  # the one written with the last part lists them all
+                with suppress(RecordingError):  # the one written with the last part lists all parts
                     self._write_metadata_yaml()
 
     def part(self) -> Part:
-        """The file in progress, as metadata.yaml lists it."""
+        """The current file, as metadata.yaml lists it."""
         file = self._file
         return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
 
@@ -251,7 +252,7 @@ class SessionWriter:
         self._file.place = self.paths[0]
 
     def _is_due(self, now_ns: int) -> bool:
-        # The distance, not the difference: a clock may be set back.
+        # The absolute difference, because a clock may be set back.
         return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= _CHUNK_NS
 
     def _is_part_full(self, now_ns: int) -> bool:
@@ -261,7 +262,7 @@ class SessionWriter:
         )
 
     def _open_file(self, path: Path) -> None:
-        """Start a file with what every part has; while that is written, it is the current one."""
+        """Start a file with the content of every part; it is then the current file."""
         file = McapWriter(path, self._channels, compression=self._compression)
         self._file = file
         try:
@@ -276,7 +277,7 @@ class SessionWriter:
         self._header_size = file.size
 
     def _start_next_part(self) -> None:
-        """Go on in a new file; if none can be started, the current one stays in use."""
+        """Continue in a new file. If it cannot be started, the current one stays in use."""
         self.flush()
         full, counts = self._file, dict(self.counts)
         path = part_path(self.path, len(self.paths))
@@ -300,11 +301,11 @@ class SessionWriter:
 def attach_policy(
     writer: SessionWriter | MemorySource, policy: PolicyInfo | None, time_ns: int
 ) -> None:
-    """Attach what a policy takes and gives as policy.json; nothing where there is none.
+    """Attach the policy's contract as policy.json, if there is a policy.
 
     Args:
-        writer: of the session.
-        policy: that plays; None where none does.
+        writer: writer of the session.
+        policy: the policy that plays; None without a policy.
         time_ns: the attachment's time, ns since the epoch.
     """
     if policy:
@@ -314,14 +315,14 @@ def attach_policy(
 def attach_motion(
     writer: SessionWriter | MemorySource, motion: MotionInfo | None, time_ns: int
 ) -> None:
-    """Attach the files that a motion and its parts came from, unless large, gone or sessions.
+    """Attach the source files of a motion and its parts, unless large, missing or sessions.
 
-    Of a session that is played or converted again, the messages hold all that matters. Of files
-    with the same name, the second is attached as `walk-2.csv`; the hashes in `motion` tell which.
+    If a session is played or converted again, the messages contain everything. Of files with the
+    same name, the second is attached as `walk-2.csv`; the hashes in `motion` identify them.
 
     Args:
-        writer: of the session.
-        motion: that is played; None where that is not known.
+        writer: writer of the session.
+        motion: the motion that is played; None if unknown.
         time_ns: the attachment's time, ns since the epoch.
     """
     origins = [motion, *motion.parts] if motion else []
@@ -330,7 +331,7 @@ def attach_motion(
         try:
             large = not source.is_file() or source.stat().st_size > LARGEST_MOTION
             data = b"" if large or is_session(source) else source.read_bytes()
-        except OSError:  # a file that is gone by now is not worth a recording
+        except OSError:  # a missing source file must not stop a recording
             continue
         if data:
             n_alike[source.name] += 1

@@ -203,12 +203,12 @@ def test_the_command(motions, tmp_path):
     code, out, _ = run("--fail-if", "max_speed > 1000")
     assert code == 1  # of the broken one it cannot be told
     assert "bolted" in out
-    assert "cannot be told for 1 row, such as broken" in out
+    assert "is unknown for 1 row, such as broken" in out
     code, out, _ = run("--fail-if", "ok < 0", "--fail-if", "duration > 0.5")
     assert code == 1
     words = " ".join(out.split())
     assert "passed: ok < 0 holds for no row" in words
-    assert "holds for 3 rows, such as copy, and cannot be told for 1 row" in words
+    assert "holds for 3 rows, such as copy, and is unknown for 1 row" in words
     (motions / "broken.csv").rename(tmp_path / "broken.csv")
     try:
         assert run("--fail-if", "max_speed > 1000")[0] == 0

@@ -159,7 +159,7 @@ def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
 
 def test_a_step_too_long_for_the_mass_is_refused_with_its_frames():
     far = [(0.3, 0.0, 0.0), (0.3, 0.0, 0.0)]
-    with pytest.raises(MotionError, match=r"centre of pressure is not kept .* in frames? \d+"):
+    with pytest.raises(MotionError, match=r"centre of pressure cannot be kept .* in frames? \d+"):
         stand(stepping(far), ROBOT)
 
 
@@ -226,7 +226,7 @@ def test_arms_that_jump_within_a_frame_do_not_tip_the_robot():
 
 @pytest.mark.parametrize(("jump", "frames"), [(1.0, "in frame 30"), (2.0, "in frames 29 to 31")])
 def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
-    with pytest.raises(MotionError, match=f"the feet slip, .* {frames}"):
+    with pytest.raises(MotionError, match=f"the feet slip .* {frames}"):
         stand(jumping(jump), ROBOT)
 
 

@@ -91,7 +91,7 @@ def test_a_run_counts_once(tmp_path):
     """A rollout made twice has the same measurements, whatever else is in its file."""
     once, again, other = session(), session(metadata={"host": "another"}), session(bias=0.02)
     for sides in (([once, again], [other]), ([other], [once, other, again])):
-        with pytest.raises(RecordingError, match="one run"):
+        with pytest.raises(RecordingError, match="the same run"):
             g1stream.compare(*sides)
     assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].p < 1.0
 
@@ -158,7 +158,7 @@ def test_the_command(tmp_path, capsys):
     assert "passed: rmse < 1 * base does not hold" in capsys.readouterr().out
     assert main([*given, "--fail-if", "rmse < 1 * base", "--fail-if", "rmse > 0.015"]) == 1
     assert main([*given, "--fail-if", "torque_use > 1e9"]) == 1  # the sessions have no such metric
-    assert "cannot be told, not all sessions have torque_use" in capsys.readouterr().out
+    assert "is unknown, because not all sessions have torque_use" in capsys.readouterr().out
     missing = ["compare", "not there", "--with", "not there either"]
     assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
     assert "two or more" in capsys.readouterr().err

@@ -168,7 +168,7 @@ def test_a_bag_is_replaced_only_when_forced_and_nothing_else_is(recorded, bag, t
         write_ros2_bag(recorded, bag)
     assert write_ros2_bag(recorded, bag, force=True).counts["/lowcmd"] == N
     for session, out in ((recorded, recorded.parent), (bag, bag)):
-        with pytest.raises(RecordingError, match="holds the session"):
+        with pytest.raises(RecordingError, match="contains the session"):
             write_ros2_bag(session, out, force=True)
     (bag / "notes.txt").touch()
     with pytest.raises(RecordingError, match=r"notes\.txt"):

@@ -1,1 +1,1 @@
-"""A robot on its own feet: plans, balance, torques."""
+"""Balance control of a robot on its own feet: motion changes, balance, torques."""

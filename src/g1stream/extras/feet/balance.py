@@ -1,10 +1,10 @@
-"""Balance: the torques with which a robot on its feet follows a reference and does not fall; pure.
+"""Balance controller: joint torques that track a reference without falling.
 
-Each tick, the accelerations that bring the centre of mass and the pelvis back to the reference are
-wanted, and a quadratic program finds the forces of the floor that come nearest to them: the soles
-push and do not pull, they do not slip, the centre of pressure stays within each sole, and no joint
-of a leg exceeds its torque. The forces give the torques (`g1stream.extras.feet.standing`). Waist
-and arms follow the reference by their servos. docs/feet.md has the formulas.
+In each tick, feedback on the centre of mass and the pelvis gives desired accelerations. A quadratic
+program finds the contact forces closest to them under these constraints: the soles can only push,
+they do not slip, the centre of pressure stays within each sole, and no leg joint exceeds its torque
+limit. The forces give the torques (`g1stream.extras.feet.standing`). Servos move waist and arms.
+docs/feet.md has the formulas.
 """
 
 from __future__ import annotations
@@ -35,47 +35,45 @@ from g1stream.robot.soles import OFF_FLOOR
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
 
-#: Wanted acceleration for an error, 1/s², and for the error of its rate, 1/s: of the centre of mass
-#: along x, y and z, and of the pelvis's attitude.
+#: Feedback gains on position, 1/s², and velocity, 1/s: of the centre of mass along x, y and z, and
+#: of the pelvis's attitude.
 _CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])
 _TURN: Final = 60.0, 12.0
-#: What an error of the centre of mass's acceleration counts, and one of the pelvis's angular one,
-#: along x, y and z of the world. The friction that turns the pelvis about z is in proportion to the
-#: vertical force: if its heading counted as much, arms that swing round fast would make the robot
-#: hop.
+#: Weights of the errors of the centre of mass's acceleration and the pelvis's angular acceleration,
+#: along x, y and z of the world. The friction that turns the pelvis about z is proportional to the
+#: vertical force. With an equal weight for the heading, fast arm swings would make the robot hop.
 _COUNTS: Final = np.array([1.0, 1.0, 4.0, 0.2, 0.2, 0.01])
-#: The acceleration (3, 12) by the wrenches over the weight, without that of gravity, m/s².
+#: The acceleration (3, 12) per wrench over the weight, without gravity, m/s².
 _LIFT: Final = GRAVITY * np.tile(np.eye(3, 6), 2)
-#: What the squares of the wrenches count, force and moment over the weight: feet that stand alike
-#: carry alike, and a moment is more to be avoided than a force.
+#: Weights of the squared wrenches, force and moment over the weight, so that symmetric feet share
+#: the load equally. Moments have a higher weight than forces.
 _EVEN: Final = np.diag(1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2))
-#: And that of the difference of the feet's horizontal forces, which push the feet apart: where the
-#: centre of pressure is at the edge, that would gain a little, and the soles would slide.
+#: Weight of the difference of the feet's horizontal forces, which push the feet apart. With the
+#: centre of pressure at an edge they would help slightly, but the soles would slip.
 _APART: Final = 3.0 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
-#: What else the floor is trusted with, beside the friction along each axis of a foot: the least
-#: force on a foot over the weight, and how far the centre of pressure is kept from the edge of a
-#: sole, m.
+#: Further contact limits, beside the friction along each axis of a foot: least force on a foot over
+#: the weight, and distance of the centre of pressure from the edge of a sole, m.
 _LEAST: Final = 0.03
 _EDGE: Final = 0.01
-#: Radius of a circle as large as a sole, at which friction resists turning, m.
+#: Radius of a circle with the area of a sole, m, for the friction against turning.
 _RADIUS: Final = 0.05
-#: Share of a leg's torque limit that is used.
+#: Used fraction of a leg's torque limits.
 _TORQUE: Final = 0.95
 
-#: No bound, and the solver's word for a solution.
+#: No bound, and the solver's code for a solution.
 _UNBOUNDED: Final = 1e30
 _OPTIMAL: Final = 1
-#: Iterations after which there is no solution in this tick; a few are usual.
+#: Most iterations of the solver in a tick; a few are usual.
 _ITERATIONS: Final = 100
 
-#: Time constants, s: of the force that something else than the floor exerts, of each foot's load.
+#: Time constants, s: of the external force, and of each foot's load.
 _OTHER_FORCE: Final = 0.3
 _LOAD: Final = 0.02
 
-#: The robot falls: it is tilted against the reference, rad; or for longer than a time, s, its
-#: capture point is outside of the soles, m, its pelvis is below the reference's, m, or its feet
-#: carry less than this of its weight. A sole that slips is taken for a speed of the mass, which
-#: moves the capture point for some 0.04 s.
+#: A robot falls if its tilt against the reference exceeds this, rad; or if for longer than a time,
+#: s, its capture point is outside of the soles, m, its pelvis is below the reference's, m, or its
+#: feet carry less than this fraction of its weight. A slipping sole looks like a velocity of the
+#: mass, which moves the capture point for about 0.04 s.
 _TILTED: Final = 0.5
 _OUTSIDE: Final = 0.01, 0.1
 _BELOW: Final = 0.1, 0.1
@@ -85,15 +83,15 @@ _UNSOLVED: Final = 0.05
 
 
 class Balance:
-    """Finds the torques of a robot that stands on its feet, or on one while the other is lifted.
+    """Computes the torques of a robot that stands on its feet, or on one while the other is lifted.
 
     Attributes:
-        base: where the pelvis is.
-        carried: share of the weight that the feet carry, measured.
-        fall: why the robot cannot be kept on its feet; "" while it can.
+        base: estimate of the pelvis's pose.
+        carried: measured fraction of the weight on the feet.
+        fall: why the robot falls; "" if it does not.
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
-        terms: of the last state; None before it.
+        terms: terms of the last state; None before the first.
     """
 
     def __init__(self, robot: G1, period: float) -> None:
@@ -113,8 +111,8 @@ class Balance:
 
     def _restart(self, root_pos: Floats, soles: Floats, headings: Floats) -> None:
         self._root_pos = root_pos
-        self._planted = soles, headings  # where the reference begins
-        self._stood = soles.copy()  # where each foot of the reference has stood last
+        self._planted = soles, headings  # of the reference's start
+        self._stood = soles.copy()  # last place of each standing foot of the reference
         self._stands = self._stood_before = True, True
         self.wrench: Floats | None = None
         self.fall, self.carried = "", 0.0
@@ -124,7 +122,7 @@ class Balance:
         self._lifts = self._unsolved = 0
 
     def begin(self, first: Target) -> None:
-        """The reference begins with a target, on whose soles the robot is to stand."""
+        """Start the reference with a target, on whose soles the robot will stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
         self._restart(first.root_pos, pos + first.root_pos, headings)
         self.base.begin(*self._planted)
@@ -138,17 +136,17 @@ class Balance:
         share: float | None = None,
         planted: bool = True,
     ) -> Floats:
-        """The torque (29,) of a command, N·m; that of the servos comes on top.
+        """The feed-forward torque (29,) of a command, N·m, which is added to that of the servos.
 
         Args:
-            target: the reference when the command takes effect.
+            target: reference at the time when the command takes effect.
             measured: the newest LowState, received `age` s ago.
-            age: see above.
-            share: of the weight that the feet shall carry while something else holds the robot;
-                None: what the feet do not carry is found from the measured torques.
-            planted: the feet stand; otherwise they are still on their way to where they shall.
+            age: age of `measured`, s.
+            share: fraction of the weight for the feet while something else holds the robot; None:
+                the external force is estimated from the measured torques.
+            planted: the feet stand; otherwise they are still moving to their place.
         """
-        ahead = age + 0.5 * self._period  # to the middle of the time in which the command acts
+        ahead = age + 0.5 * self._period  # to the middle of the command's period
         imu, base = measured.imu, self.base
         dq = measured.dq.astype(np.float64)
         q = measured.q + ahead * dq
@@ -160,7 +158,7 @@ class Balance:
             self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
         if not planted:
             base.begin(*self._planted)
-            target = target._replace(root_pos=self._root_pos)  # the target's may be lifted
+            target = target._replace(root_pos=self._root_pos)  # the target's may be raised
         acc = target.root_lin_acc, target.root_ang_acc, target.ddq
         pose = _state_of(target), target.root_pos, target.root_lin_vel
         reference = self._dynamics.movement(*pose, acc)
@@ -185,7 +183,7 @@ class Balance:
         return "no forces of the floor keep the robot on its feet" if unsolved else ""
 
     def watch(self, target: Target) -> None:
-        """Find out whether a robot that nothing holds falls."""
+        """Detect a fall of a robot without external support."""
         if self.terms is None:
             raise RuntimeError("there is no state yet: call torque() first")
         tilt = tilt_of(quat_mul(self.base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
@@ -206,14 +204,14 @@ class Balance:
 
     @property
     def summary(self) -> BalanceSummary | None:
-        """Of what was watched; None before `watch`."""
+        """Summary of the watched ticks; None before `watch`."""
         if not self._worst:
             return None
         return BalanceSummary(**self._worst, lifts=self._lifts, unsolved_ticks=self._unsolved)
 
     def _keep_worst(self, margin: float, tilt: float, height_error: float) -> None:
-        """Take a tick that was watched into account for the summary."""
-        # How far the one foot stands from its place beside the other.
+        """Add a watched tick to the summary."""
+        # Distance of a foot from its place relative to the other foot.
         apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2] * all(self._stands)
         now = {
             "capture_margin_m": (min, margin),
@@ -230,13 +228,14 @@ class Balance:
         self._unsolved += self._lasted["unsolved"] > 0.0
 
     def _capture_point_outside(self, terms: Terms) -> float:
-        """How far the capture point is outside of the soles, m; inside it is negative.
+        """Distance of the capture point outside of the soles, m; negative inside.
 
-        That is the point c + c' / sqrt(g / h), with h the height of the centre of mass c, to which
-        the centre of pressure has to be moved for the mass to come to rest above it (J. Pratt et
-        al., "Capture point: a step toward humanoid push recovery", 2006). It moves away from where
-        the centre of pressure is: once it is outside of the soles, none brings it back. A foot
-        that is lifted counts where it stood, turned as it is now.
+        The capture point is c + c' / sqrt(g / h), with h the height of the centre of mass c. If the
+        centre of pressure is moved there, the mass comes to rest above it (J. Pratt et al.,
+        "Capture
+        point: a step toward humanoid push recovery", 2006). It moves away from the centre of
+        pressure, so once it is outside of the soles it cannot be brought back. A lifted foot counts
+        where it stood, turned as it is now.
         """
         height = max(0.0, float(terms.centre[2] - terms.soles[:, 2].min()))
         vel = terms.centre_vel + self.base.vel
@@ -249,17 +248,17 @@ class Balance:
         return float(beyond_hull(x, y)[0])
 
     def _load(self) -> Floats:
-        """What each foot carries (2,), in sum 1; 0 of a foot that is lifted."""
+        """Fraction of the load on each foot (2,), sum 1; 0 for a lifted foot."""
         force = np.full(2, 0.5) if self.wrench is None else self.wrench[[2, 8]]
         force = np.maximum(force, 1e-3 * self._dynamics.weight) * self._stands
         load: Floats = force / force.sum()
         return load
 
     def _find_other_force(self, terms: Terms, measured: Reading, *, found: bool) -> None:
-        """The force that something else than the floor exerts, and what the feet carry.
+        """Estimate the external force, and the load on the feet.
 
-        The accelerometer has the sum of both, and the legs' torques that of the floor; the legs'
-        own acceleration is left out.
+        The accelerometer measures the sum of external and contact forces, and the legs' torques
+        give the contact force. The legs' own acceleration is neglected.
         """
         pushed = (terms.gravity_tau - measured.tau)[:LEGS].reshape(2, 6, 1)
         wrenches = terms.by_sole.transpose(0, 2, 1) @ pushed
@@ -276,9 +275,9 @@ class Balance:
     def _wanted(
         self, target: Target, reference: Movement, state: BodyState, terms: Terms
     ) -> tuple[Floats, Floats]:
-        """The force of the floor, N, world, and the pelvis's angular acceleration to aim at.
+        """The desired contact force, N, world, and angular acceleration of the pelvis.
 
-        That is in rad/s², in the pelvis's frame.
+        The latter is in rad/s², in the pelvis's frame.
         """
         vel = terms.centre_vel + self.base.vel
         pos = terms.centre + self.base.pos
@@ -290,9 +289,9 @@ class Balance:
         return force, wanted + _TURN[1] * (target.root_ang_vel - state.ang_vel)
 
     def _distribute(self, terms: Terms, force: Floats, turn: Floats) -> Floats:
-        """The wrenches (12,) that come nearest to a force and an angular acceleration.
+        """The wrenches (12,) that best approximate a force and an angular acceleration.
 
-        The program is in wrenches over the weight, so that its numbers are of the size of 1.
+        The program uses wrenches over the weight, so that its numbers have a magnitude of about 1.
         """
         weight = self._dynamics.weight
         to_world = rotation_matrices(self.base.quat_wxyz)
@@ -332,19 +331,19 @@ class Balance:
         return wrench
 
     def _last(self, what: str, is_so: bool) -> float:
-        """For how long something is so, s, this tick included."""
+        """How long a condition has held, s, including this tick."""
         self._lasted[what] = self._lasted[what] + self._period if is_so else 0.0
         return self._lasted[what]
 
 
 def _cone(sole: Floats) -> tuple[Floats, Floats]:
-    """What the wrench of a sole obeys: rows (11, 6) times it are at least these numbers (11,).
+    """The contact constraints of a sole: rows (11, 6) times its wrench >= numbers (11,).
 
     In the foot's frame, about the middle of the sole: the least force, the friction pyramid, the
     centre of pressure (x = -m_y / f_z, y = m_x / f_z), and friction against turning.
     """
     mu, twist = TRUSTED_FRICTION, TRUSTED_FRICTION * _RADIUS
-    along = np.roll(sole, -1, axis=0) - sole  # the corners go round clockwise, seen from above
+    along = np.roll(sole, -1, axis=0) - sole  # corners are clockwise, seen from above
     x, y = np.stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)  # outward
     within = x * sole[:, 0] + y * sole[:, 1] - _EDGE
     none = np.zeros(len(sole))

@@ -1,8 +1,8 @@
-"""Where the pelvis of a standing robot is, from its legs and its IMU; pure.
+"""Estimate of a standing robot's pelvis pose from its legs and its IMU.
 
-Soles that stand do not move. So the joints of the legs say where the pelvis is and how fast it
-moves, and the IMU how it is turned. The accelerometer is fresher and less noisy than the joints'
-speeds: the velocity follows it at once, and the legs within `_FOLLOWS` (a complementary filter).
+Standing soles do not move, so the leg joints give the position and velocity of the pelvis, and the
+IMU gives its attitude. The accelerometer has less delay and noise than the joint velocities, so the
+velocity follows it at once and the legs within `_FOLLOWS` (a complementary filter).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, wrap_angle
 from g1stream.types import Floats
 
-#: Time constants, s: of the velocity; of the heading, which a gyroscope lets drift by degrees a
-#: minute; of a sole that does not stand where it was put, because it slipped.
+#: Time constants, s: of the velocity; of the heading, because a gyroscope drifts by degrees a
+#: minute; of a sole that has slipped from its place.
 _FOLLOWS: Final = 0.03
 _HEADING: Final = 2.0
 _SLIPPED: Final = 1.0
@@ -29,8 +29,8 @@ class BaseEstimate:
     """Position, velocity and heading of the pelvis in the world of the reference.
 
     Attributes:
-        soles: (2, 3) m, where the middle of each sole stands.
-        pos: (3,) m, of the pelvis.
+        soles: (2, 3) m, place of the middle of each sole.
+        pos: (3,) m, position of the pelvis.
         vel: (3,) m/s.
         quat_wxyz: (4,) pelvis to world.
     """
@@ -39,7 +39,7 @@ class BaseEstimate:
         self.soles, self._headings = np.zeros((2, 3)), np.zeros(2)
         self._floor = 0.0
         self._drift = 0.0  # heading of the IMU's world in the reference's, rad
-        self._begins = True  # the next LowState says where it is, without a history
+        self._begins = True  # the next LowState sets the place, without a history
         self.pos, self.vel = np.zeros(3), np.zeros(3)
         self.quat_wxyz = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -51,22 +51,22 @@ class BaseEstimate:
         self.vel = np.zeros(3)
 
     def turn(self, imu: ImuReading) -> Floats:
-        """Take the attitude of a reading over, and return it in the reference's world."""
+        """Update the attitude from a reading, and return it in the reference's world."""
         back = quat_from_yaw(-self._drift)
         self.quat_wxyz = quat_mul(back, imu.quat_wxyz.astype(np.float64))
         return self.quat_wxyz
 
     def update(self, terms: Terms, imu: ImuReading, load: Floats, passed: float) -> None:
-        """Take a LowState into account, `passed` s after the last one.
+        """Update the estimate with a LowState, `passed` s after the last one.
 
-        The terms are of the pelvis as turned last; `load` (2,) is what each foot carries, in sum 1;
-        0 of a foot that is lifted.
+        The terms are for the attitude of the last `turn`. `load` (2,) is the fraction on each foot,
+        with sum 1; 0 for a lifted foot.
         """
         headings = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0])
         turned = wrap_angle(headings - self._headings)
         error = float(load @ turned)
         by_legs = -load @ terms.sole_vel
-        if self._begins:  # the error is that of a heading from which the drift is already taken
+        if self._begins:  # the heading already has the drift subtracted
             self._drift, self.vel, self._begins = self._drift + error, by_legs, False
         else:
             self._drift += error * min(1.0, passed / _HEADING)
@@ -76,7 +76,7 @@ class BaseEstimate:
         self.pos = load @ (self.soles - terms.soles)
         slipped = self.pos + terms.soles - self.soles
         self.soles = self.soles + slipped * (passed / _SLIPPED)
-        lifted = load == 0.0  # it stands where it comes down
+        lifted = load == 0.0  # its place is where it comes down
         self.soles[lifted, :2] += slipped[lifted, :2] * (1.0 - passed / _SLIPPED)
         self.soles[lifted, 2] = self._floor
         self._headings[lifted] += turned[lifted]

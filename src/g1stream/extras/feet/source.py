@@ -1,6 +1,6 @@
-"""The source of torques for a robot on its own feet: it hangs until they carry it, then balances.
+"""Torques for a robot on its own feet: it hangs until the feet carry it, then it balances.
 
-docs/feet.md explains how the feet take the weight.
+docs/feet.md describes how the feet take over the weight.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from g1stream.robot.soles import SIDES
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats, Phase, StreamSupport
 
-#: The feet stand once they carry this share of the weight, and no more below this one.
+#: The feet stand from the first fraction of the weight, and stop standing below the second one.
 _LANDS, _LIFTS = 0.1, 0.05
-#: Between these shares, the torque changes from that of a hanging robot to that of a standing one.
+#: Between these fractions, the torque blends from that of a hanging to that of a standing robot.
 _HANGS, _STANDS = 0.05, 0.25
-#: PLAY begins when the feet have carried this share for this time, s.
+#: PLAY begins when the feet have carried this fraction for this time, s.
 _CARRIED: Final = 0.9, 1.0
-#: With this share on its feet a robot is more stable in a squat than in what holds it.
+#: From this fraction on, a squat is more stable than the external support.
 _SQUATS: Final = 0.5
-#: Time constant of the measured share, s.
+#: Time constant of the measured fraction, s.
 _LOAD: Final = 0.1
-#: More than a leg is shorter in the lowest squat than stretched, m.
+#: Larger than the difference of a leg's length between stretched and lowest squat, m.
 _LIFT: Final = 0.4
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: The joints that turn a sole about y and about x, (2, 2).
@@ -54,12 +54,12 @@ _ANKLES: Final = np.array(
 class StandingTorques(Source):
     """The torque of a hanging robot, and of one on its feet once they carry it.
 
-    The bridge of g1stream holds the pelvis until PLAY begins and lowers the robot in RAMP: there
-    the feet take the weight at the end of RAMP. Elsewhere the robot is taken to hang from a band at
-    its torso, and the measured load on the feet decides; RAMP waits until they carry it.
+    The bridge of g1stream holds the pelvis until PLAY begins and lowers the robot in RAMP, so the
+    feet take over the weight at the end of RAMP. Elsewhere the robot is assumed to hang from a band
+    at its torso, and the measured load on the feet decides; RAMP waits until they carry it.
 
-    At the end of HOLD the robot squats down, in which it can be damped. The part of a motion that
-    is not played need not be able to stand: it becomes a pause.
+    At the end of HOLD the robot squats, and can be damped in the squat. The part of a motion that
+    is not played becomes a pause, so it need not be balanced.
     """
 
     needed = True
@@ -86,7 +86,7 @@ class StandingTorques(Source):
 
     @property
     def balance(self) -> Balance:
-        """Of the revision in use."""
+        """The balance controller of the robot revision in use."""
         return self._balances[self.name]
 
     @property
@@ -99,7 +99,7 @@ class StandingTorques(Source):
 
     @property
     def summary(self) -> BalanceSummary | None:
-        """How near the robot was to falling; None before PLAY."""
+        """How close the robot was to falling; None before PLAY."""
         return self.balance.summary
 
     @property
@@ -108,12 +108,12 @@ class StandingTorques(Source):
             return ""
         return (
             f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
-            f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and let it go in PLAY"
+            f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and release it in PLAY"
         )
 
     @property
     def stands(self) -> bool:
-        """Whether the feet carry half of the weight, which nothing but a band shares."""
+        """Whether the feet carry half of the weight, so that at most a band carries the rest."""
         return not self._lowered_by_bridge and self._load > _SQUATS
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
@@ -129,7 +129,7 @@ class StandingTorques(Source):
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if announced not in (None, "free"):
             raise ConfigError(
-                f"The simulator holds the robot ({announced}); it does not stand on its feet.",
+                f"The simulator holds the robot ({announced}), so it does not stand on its feet.",
                 "Start it with --support free, or stream without --support feet.",
             )
         self._lowered_by_bridge = announced == "free"
@@ -156,13 +156,13 @@ class StandingTorques(Source):
             tau = balance.torque(target, measured, age, share=share, planted=False)
             return target._replace(tau=tau)
         hanging = self._hanging.command(moment)
-        if ramped < 1.0:  # legs that move would look loaded
+        if ramped < 1.0:  # moving legs would look loaded
             return hanging._replace(q=target.q + _levelled(target, imu))
         loaded = None if self._landed or self._load > _HANGS else 0.0
         standing = balance.torque(target, measured, age, share=loaded, planted=self._landed)
         self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
         self._landed = self._load > (_LIFTS if self._landed else _LANDS)
-        if self._carried_for <= _CARRIED[1]:  # then RAMP ends, also where the load dips again
+        if self._carried_for <= _CARRIED[1]:  # RAMP ends then, even if the load drops again
             carried = self._load > _CARRIED[0]
             self._carried_for = self._carried_for + self._period if carried else 0.0
         stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
@@ -173,9 +173,9 @@ class StandingTorques(Source):
 
 
 def _levelled(target: Target, imu: ImuReading) -> Floats:
-    """By how much to turn the ankles (29,), rad, so that a tilted robot lands on flat soles.
+    """Ankle angles (29,), rad, with which a tilted robot lands on flat soles.
 
-    The tilt against the target is that between the directions of gravity, seen from the pelvis.
+    The tilt against the target is that between the directions of gravity in the pelvis frame.
     """
     up = quat_rotate_inverse(imu.quat_wxyz.astype(np.float64), _UP)
     tilt = np.cross(up, quat_rotate_inverse(target.root_quat_wxyz, _UP))
@@ -186,21 +186,22 @@ def _levelled(target: Target, imu: ImuReading) -> Floats:
 
 
 def _require_standing(config: Config, *, simulated: bool) -> None:
-    """Refuse settings with which a robot cannot be kept on its feet, or might not be."""
+    """Refuse settings with which the robot cannot be balanced, or might not be."""
     settings = config.stream
     if not (simulated or settings.experimental_feet):
         raise SafetyError(
-            f"--support feet on {config.dds.interface}: it has been tried in simulators only, and "
-            "a robot that it lets fall breaks.",
+            f"--support feet is not allowed on {config.dds.interface}: it was only tested in "
+            "simulators, "
+            "and a robot that falls breaks.",
             "Use --support hanging, or the loopback interface; --experimental-feet allows it.",
         )
     if settings.feedforward not in (None, "dynamics"):
         raise ConfigError(
-            "support feet needs torques that are computed at every tick.",
+            "support feet needs computed torques at every tick.",
             "Give --feedforward dynamics, or hold the robot otherwise.",
         )
     if settings.loop or settings.via != "lowcmd" or settings.others != "hold":
         raise ConfigError(
             "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
-            "Leave out --via, --others and --loop, or hold the robot otherwise.",
+            "Remove --via, --others and --loop, or hold the robot otherwise.",
         )

@@ -1,8 +1,8 @@
-"""The way down into a squat, in which a robot is damped that stood on its feet; pure.
+"""The movement from standing into a squat, in which the robot is damped.
 
-The soles stay where they are. The pelvis keeps its attitude and goes on a minimum-jerk path to
-where the centre of mass is above the middle between the soles, at the height of a deep squat. The
-joints of the legs follow by inverse kinematics; waist and arms do not move.
+The soles do not move. The pelvis keeps its attitude and moves on a minimum-jerk path to where the
+centre of mass is above the middle between the soles, at the height of a deep squat. Inverse
+kinematics gives the leg joints; waist and arms do not move.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from g1stream.robot.model import G1
 from g1stream.robot.soles import OFF_FLOOR, bent_legs
 from g1stream.types import Floats
 
-#: By how much the legs are bent in the squat, see `bent_legs`, rad.
+#: Bend of the legs in the squat, see `bent_legs`, rad.
 _BENT: Final = 0.85
-#: Steps of Newton's method from standing to the squat, and the times that the centre of mass is
-#: shifted to where it shall be meanwhile.
+#: Steps of Newton's method from standing to the squat, and number of corrections of the centre of
+#: mass in between.
 _STEPS: Final = 3
 _SHIFTS: Final = 3
 
 
 class Squat:
-    """Targets on the way down, of `length` s: a `g1stream.control.targets.WayDown`."""
+    """Targets of the movement into a squat in `length` s: a `g1stream.control.targets.WayDown`."""
 
     def __init__(self, robot: G1) -> None:
         self.length = 2.0
@@ -44,7 +44,7 @@ class Squat:
         return float(np.ptp(heights)) < OFF_FLOOR
 
     def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
-        """The way down from a target at rest: by the time since it began, s, and joints near it."""
+        """The movement from a target at rest, by the time since its start, s, and nearby joints."""
         dynamics, still, length = self._dynamics, np.zeros(3), self.length
         state = _state_at_rest(standing)
         soles, turns = dynamics.sole_poses(state)

@@ -1,13 +1,13 @@
-"""The equations of motion of a robot whose feet stand still on the floor, or are lifted.
+"""Equations of motion of a robot whose feet stand on the floor, or are lifted.
 
 With a = (base's acceleration, joints' acceleration) and a wrench w of the floor on each sole,
 
     M(q) a + h(q, v) = (0, tau - friction) + J(q)^T w,    J(q) a + J'(q, v) v = 0
 
-(R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 8). The second equation says that
-the soles do not move; it gives the legs' acceleration from the base's. What the waist and the arms
-do is given, and what the leg of a lifted foot does, where w is 0. So the numbers of w are all that
-is free, and everything else is linear in them.
+(R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 8). The second equation keeps the
+soles at rest; it gives the legs' acceleration from the base's. The accelerations of waist and arms
+are given, and those of a lifted leg, whose w is 0. The only free variables are the components of w,
+and everything else is linear in them.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _BASE: Final = 6
 _ROOT: Final = 1  # the base, after the world
 _WRENCHES: Final = 12
 
-#: Added to the squares of a leg's singular values: a stretched knee asks for no infinite speed.
+#: Added to the squares of a leg's singular values, to limit speeds at a stretched knee.
 _DAMPING: Final = 1e-6 * np.eye(6)
 
 
 class BodyState(NamedTuple):
-    """Where the robot is and how it moves, but for the position and velocity of its base."""
+    """State of the robot without position and velocity of its base."""
 
     quat_wxyz: Floats  # (4,) pelvis to world
     ang_vel: Floats  # (3,) rad/s, pelvis frame
@@ -40,38 +40,38 @@ class BodyState(NamedTuple):
 
 
 class Movement(NamedTuple):
-    """How a reference moves."""
+    """Centre of mass and soles of a reference."""
 
-    pos: Floats  # (3,) m, world, of the centre of mass
+    pos: Floats  # (3,) m, world, centre of mass
     vel: Floats  # (3,) m/s, world
-    force: Floats  # (3,) N, world, of the floor that this takes, the weight included
-    soles: Floats  # (2, 3) m, world, the middle of each sole
+    force: Floats  # (3,) N, world, contact force that this needs, including the weight
+    soles: Floats  # (2, 3) m, world, middle of each sole
 
 
 class Terms(NamedTuple):
-    """The terms of a state; vectors from the base's origin, or relative to its velocity, world.
+    """Terms of a state. Vectors are relative to the base's origin, or to its velocity, world.
 
     Accelerations and torques are linear in the wrenches w (12,): force, N, and moment about the
     middle of the sole, N·m, world, left foot first.
     """
 
-    soles: Floats  # (2, 3) m, the middle of each sole
+    soles: Floats  # (2, 3) m, middle of each sole
     turns: Floats  # (2, 3, 3) foot to world
     sole_vel: Floats  # (2, 3) m/s
-    centre: Floats  # (3,) m, the centre of mass
+    centre: Floats  # (3,) m, centre of mass
     centre_vel: Floats  # (3,) m/s
     # (6, 12) and (6,): B w + b is the base's acceleration, m/s², world, and rad/s², pelvis frame.
     base_acc: tuple[Floats, Floats]
     leg_tau: tuple[Floats, Floats]  # (12, 12) and (12,), N·m, of the legs
     other_tau: tuple[Floats, Floats]  # (17, 12) and (17,), N·m, of waist and arms
-    gravity_tau: Floats  # (29,) N·m, that hold the joints against gravity if the base is held
-    # (2, 6, 6) how the joints of a leg move with its sole: the inverse of its Jacobian, damped.
-    # Transposed it gives the wrench on a sole from the torques of its leg.
+    gravity_tau: Floats  # (29,) N·m, holds the joints against gravity if the base is held
+    # (2, 6, 6) joint motion of a leg per motion of its sole: the damped inverse of its Jacobian.
+    # Its transpose gives the wrench on a sole from the torques of its leg.
     by_sole: Floats
 
 
 class StandingDynamics:
-    """The equations of one robot, of `mass` kg and `weight` N.
+    """Equations of motion of a robot with `mass` kg and `weight` N.
 
     `sole` (4, 2), m, has the corners of a sole about its middle, in the foot's frame.
     """
@@ -102,9 +102,10 @@ class StandingDynamics:
     def movement(
         self, state: BodyState, pos: Floats, lin_vel: Floats, acc: tuple[Floats, Floats, Floats]
     ) -> Movement:
-        """How a reference moves whose base is at `pos` and has `lin_vel`, world.
+        """The movement of a reference whose base is at `pos` and has `lin_vel`, world.
 
-        `acc` is of its base, (3,) m/s² world and (3,) rad/s² pelvis frame, and its joints (29,).
+        `acc` is that of its base, (3,) m/s² world and (3,) rad/s² pelvis frame, and its joints
+        (29,).
         """
         mujoco, model, data = self._mujoco, self._model, self._reference
         self._place(data, state)
@@ -130,9 +131,9 @@ class StandingDynamics:
         return pos, np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
 
     def towards(self, state: BodyState, soles: Floats, turns: Floats) -> Floats:
-        """The joints (29,), rad, one step of Newton's method nearer to where the soles shall be.
+        """The joints (29,), rad, after a step of Newton's method towards the given sole poses.
 
-        That is (2, 3) m from the base's origin, world, and (2, 3, 3) foot to world.
+        These are (2, 3) m from the base's origin, world, and (2, 3, 3) foot to world.
         """
         now, turned = self.sole_poses(state)
         self._find_sole_jacobians(self._reference, now)
@@ -144,7 +145,7 @@ class StandingDynamics:
         return q
 
     def joint_motion(self, state: BodyState, vel: Floats, acc: Floats) -> tuple[Floats, Floats]:
-        """Speeds (29,), rad/s, and accelerations, rad/s², of the legs over soles that stand.
+        """Leg velocities (29,), rad/s, and accelerations, rad/s², for soles at rest.
 
         The base has `vel` and `acc` (3,), world, and does not turn; waist and arms rest.
         """
@@ -161,7 +162,7 @@ class StandingDynamics:
         return dq, ddq
 
     def _by_legs(self, wanted: Floats) -> Floats:
-        """The joints' part (12,) in what the soles (2, 6) shall do, by the last Jacobians."""
+        """Joint part (12,) of a desired motion of the soles (2, 6), by the last Jacobians."""
         moved: Floats = _inverse(_of_legs(self._jac)) @ wanted[:, :, np.newaxis]
         return moved.reshape(LEGS)
 
@@ -185,11 +186,11 @@ class StandingDynamics:
         """The terms of a state.
 
         Args:
-            state: measured.
-            acc: (29,) rad/s², what the joints of waist and arms shall do, and of a lifted leg.
-            friction_at: (29,) rad/s, the speeds at which the joints' friction is taken.
-            other: (3,) N, world, a force on the base that is not the floor's.
-            stands: which foot does.
+            state: measured state.
+            acc: (29,) rad/s², accelerations of waist, arms and a lifted leg.
+            friction_at: (29,) rad/s, velocities for the joints' friction.
+            other: (3,) N, world, external force on the base.
+            stands: which feet stand.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
         m, h = self._inertia, self._bias
@@ -247,7 +248,7 @@ class StandingDynamics:
         self._mujoco.mj_comPos(self._model, data)
 
     def _fill_inertia(self, data: Any) -> None:
-        """Write M as a full matrix; the arguments of MuJoCo's function are others before 4."""
+        """Write M as a full matrix. MuJoCo's function had other arguments before version 4."""
         if hasattr(data, "qM"):
             self._mujoco.mj_fullM(self._model, self._inertia, data.qM)
         else:
@@ -260,7 +261,7 @@ class StandingDynamics:
 
 
 def _of_legs(jac: Floats) -> Floats:
-    """The parts (2, 6, 6) of the soles' Jacobian (12, 35) that are of the joints of their legs."""
+    """The parts (2, 6, 6) of the soles' Jacobian (12, 35) for the joints of their legs."""
     return np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
 
 

@@ -1,1 +1,1 @@
-"""The gap between robot and simulator: commands simulated again, and parameters fitted."""
+"""Sim-to-real gap: simulation of recorded commands, and identification of parameters."""

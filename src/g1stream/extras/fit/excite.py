@@ -1,8 +1,8 @@
-"""A motion that shows a robot's parameters: every joint moves fast and slow, and both ways.
+"""An exciting motion for parameter identification: all joints move at many speeds, both ways.
 
-Each joint follows a sum of sines of its own frequencies (J. Swevers et al. 1997, "Optimal robot
-excitation and identification"): slow ones for dry friction and weight, fast ones for viscous
-friction and armature. The robot has to be bolted or to hang, its feet free.
+Each joint follows a sum of sines with its own frequencies (J. Swevers et al. 1997, "Optimal robot
+excitation and identification"). Slow sines show dry friction and weight, fast ones viscous friction
+and armature. The robot must be bolted or hang with its feet free.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from g1stream.types import Floats
 
 __all__ = ["exciting_motion"]
 
-#: Per joint, by the ends of its name: middle of the movement, rad, mirrored on the right; greatest
-#: deflection, rad; greatest acceleration of one sine, rad/s².
+#: By the suffix of a joint's name: middle of the movement, rad, mirrored on the right; largest
+#: deflection, rad; largest acceleration of a sine, rad/s².
 _MOVES: Final = (
     ("hip_pitch_joint", -0.25, 0.40, 12.0),
     ("hip_roll_joint", 0.25, 0.20, 10.0),
@@ -41,32 +41,32 @@ _MOVES: Final = (
     ("wrist_pitch_joint", 0.0, 0.60, 50.0),
     ("wrist_yaw_joint", 0.0, 0.60, 50.0),
 )
-#: Sines of a joint, their lowest and highest frequency, Hz.
+#: Number of sines of a joint, and their lowest and highest frequency, Hz.
 _SINES, _LOWEST, _HIGHEST = 6, 0.12, 2.4
-#: Of the limits of position range and velocity, what is used at most.
+#: Largest used fraction of the limits of position range and velocity.
 _OF_RANGE, _OF_SPEED = 0.9, 0.6
 _FPS: Final = 100.0
-#: From rest to the full movement, and back, s.
+#: Time from rest to the full movement, and back, s.
 _FADE: Final = 2.0
-#: Where links collide the movement is made smaller by this, so often.
+#: Factor that reduces a movement whose links collide, and the number of reductions.
 _SMALLER, _TRIES = 0.85, 20
 _HEIGHT: Final = 0.8
 
 
 def exciting_motion(robot: G1 | None = None, *, seconds: float = 40.0, seed: int = 0) -> Motion:
-    """A motion of all joints within the limits, in which no links collide.
+    """Make a motion of all joints within the limits and without collisions.
 
     Args:
-        robot: whose limits and shapes; the default one if None.
-        seconds: how long.
-        seed: of the phases and frequencies: motions of other seeds are others.
+        robot: robot with the limits and shapes; the default one if None.
+        seconds: duration.
+        seed: seed of the phases and frequencies.
 
     Raises:
-        ConfigError: it is too short, or collides however small it is.
+        ConfigError: it is too short, or collides at any size.
     """
     if seconds < 3.0 * _FADE:
         raise ConfigError(
-            f"An exciting motion cannot take {seconds:g} s.", f"Give {3.0 * _FADE:g} s or more."
+            f"An exciting motion cannot last {seconds:g} s.", f"Give {3.0 * _FADE:g} s or more."
         )
     robot = robot or G1.default()
     rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def exciting_motion(robot: G1 | None = None, *, seconds: float = 40.0, seed: int
     else:
         raise ConfigError(
             f"The links of {robot.name} collide in every exciting motion.",
-            "Record a motion of your own that moves every joint.",
+            "Record another motion that moves every joint.",
         )
     return Motion.from_arrays(
         middle + moved,
@@ -106,7 +106,7 @@ def exciting_motion(robot: G1 | None = None, *, seconds: float = 40.0, seed: int
 def _sines(
     rng: np.random.Generator, time: Floats, deflection: float, acceleration: float, speed: float
 ) -> Floats:
-    """A sum of sines (T,) within a deflection, rad, and within a part of the speed, rad/s."""
+    """A sum of sines (T,) within a deflection, rad, and a fraction of the speed limit, rad/s."""
     steps = (np.arange(_SINES) + rng.uniform(0.2, 0.8, _SINES)) / _SINES
     omega = 2.0 * np.pi * _LOWEST * (_HIGHEST / _LOWEST) ** steps
     amplitude = np.minimum(deflection / np.sqrt(1.0 + omega), acceleration / omega**2)
@@ -119,7 +119,7 @@ def _sines(
 
 
 def _colliding(world: World, joint_pos: Floats) -> Any:
-    """(29,) which joints are on the way between links that collide in some pose of (T, 29)."""
+    """(29,) which joints are between links that collide in any pose of (T, 29)."""
     import mujoco
 
     model, data = world.model, world.data

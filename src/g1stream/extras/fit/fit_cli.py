@@ -1,4 +1,4 @@
-"""`g1stream fit`: friction, armature, delay, torque and masses of a robot, from sessions."""
+"""`g1stream fit`: identifies friction, armature, delay, torque and masses from sessions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from g1stream.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class FitParameters(SettingsCommand):
-    """Fits the parameters of a bolted or hanging robot, and writes them as a file for --params.
+    """Fits the parameters of a bolted or hanging robot, and writes a file for --params.
 
-    That is per joint viscous and dry friction, armature and torque scale, the delay of commands,
-    and masses added to trunk, limbs, hands and feet. Each has a 95 % interval; what the sessions
-    cannot tell is not written, such as the friction of a joint that hardly moved. The gap between
-    robot and simulator, before and after, is that of a session, or a part, that was not fitted.
+    The parameters are viscous and dry friction, armature and torque scale of each joint, the delay
+    of commands, and masses added to trunk, limbs, hands and feet. Each has a 95 % interval.
+    Parameters that the sessions do not determine are not written, such as the friction of a joint
+    that hardly moved. The gap between robot and simulator is given before and after the fit, for a
+    session or a part that was not used for fitting.
 
     Examples:
       g1stream fit --motion-out excite.npz
@@ -40,19 +41,19 @@ class FitParameters(SettingsCommand):
     )
     hold_out: Path | None = flag(
         None,
-        "Session to judge the parameters with.",
+        "Session for validation, which is not used for fitting.",
         "SESSION",
         shown="the last fifth of each session",
     )
     motion_out: Path | None = flag(
-        None, "Write a motion that shows the parameters, to be played and recorded.", "NPZ"
+        None, "Write an exciting motion for identification, to be played and recorded.", "NPZ"
     )
     seconds: float = flag(40.0, "Length of that motion.", "SECONDS", gt=0.0)
     support: str | None = flag(
-        None, "How the robot was held: bolted, hanging.", "SUPPORT", shown="as the sessions say"
+        None, "How the robot was held: bolted, hanging.", "SUPPORT", shown="as recorded"
     )
-    force: bool = flag(False, "Replace a file that is there.")
-    json: bool = flag(False, "Print what was fitted as JSON.")
+    force: bool = flag(False, "Replace an existing file.")
+    json: bool = flag(False, "Print the results as JSON.")
 
     def run(self) -> int:
         """Fit, write, print, and return the exit code."""
@@ -62,7 +63,7 @@ class FitParameters(SettingsCommand):
         config = self.resolve()
         if bool(self.sessions) == bool(self.motion_out):
             raise ConfigError(
-                "Either sessions to fit, or --motion-out for a motion to record, is to be given.",
+                "Give either sessions to fit, or --motion-out for a motion to record.",
                 "`g1stream fit --help` has an example of both.",
             )
         if self.motion_out:
@@ -75,7 +76,7 @@ class FitParameters(SettingsCommand):
         from g1stream.extras.fit.gap import robot_of
         from g1stream.extras.fit.identify import fit_parameters
 
-        if self.out is not None:  # refused now, and not when all is computed
+        if self.out is not None:  # checked before the long computation
             check_suffix(self.out, "a parameters file", ".toml")
             check_output_path(self.out, force=self.force)
         sessions = [open_session(path) for path in self.sessions]

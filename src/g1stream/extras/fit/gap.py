@@ -1,8 +1,8 @@
-"""The gap between a robot and the simulator: what the commands of a session do to each.
+"""The gap between a robot and the simulator under the same commands.
 
 The simulated robot gets the recorded commands at their times, in windows that begin with the
-measured state. What is left between the two is compared with the noise of the session, and
-explained by simple regressions.
+measured state. The remaining difference is compared with the noise of the session, and explained
+by simple regressions.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from g1stream.view.encoders import JointStatesTemplate
 __all__ = ["Cause", "Gap", "JointGap", "excess", "gap", "motor_torque", "robot_of", "torque_delay"]
 
 _FIELDS: Final = ("position", "velocity", "effort")
-#: A joint differs where the RMS of the difference in position, without noise, is above this, rad,
-#: and above twice its noise.
+#: A joint differs if the RMS position difference without noise is above this, rad, and above twice
+#: its noise.
 _DIFFERS: Final = 5e-4
-#: A cause is named where it explains this share of the difference, and is so many standard errors.
+#: A cause is reported above this fraction of the difference and number of standard errors.
 _SHARE: Final = 0.1
 _ERRORS: Final = 4.0
-#: Accelerations and velocities are those of positions smoothed to so many Hz.
+#: Accelerations and velocities are derivatives of positions smoothed with this cutoff, Hz.
 _CUTOFF: Final = 15.0
-#: Every so many LowStates count in a regression: those between tell the same.
+#: A regression uses every n-th LowState, because those between add no information.
 _EVERY: Final = 5
-#: A joint that is slower on average (RMS) tells neither viscous friction nor inertia, rad/s.
+#: Slower joints (RMS) show neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
 #: Delays of commands that are tried, s.
 _LONGEST_DELAY: Final = 0.03
-#: Of a motor's limit, from which on it is saturated.
+#: Fraction of its limit at which a motor is saturated.
 _SATURATED: Final = 0.99
 
 
 class Cause(Record):
-    """What explains a part of a joint's difference.
+    """A cause that explains part of a joint's difference.
 
     Attributes:
         name: dry friction, viscous friction, inertia, weight, constant torque, backlash, lag or
             saturation.
-        amount: of the robot more than of the simulator.
-        unit: of that.
-        share: of the variance of the difference that it explains; for lag and saturation None.
+        amount: value of the robot minus that of the simulator.
+        unit: unit of the amount.
+        share: explained fraction of the difference's variance; None for lag and saturation.
     """
 
     name: str
@@ -70,14 +70,14 @@ class Cause(Record):
 
 
 class JointGap(Record):
-    """A joint: RMS of measured - simulated, and the noise of what is measured.
+    """RMS of measured - simulated of a joint, and the noise of the measurement.
 
     Attributes:
         q_rad, dq_rad_s, tau_nm: RMS of the difference.
-        q_noise_rad, dq_noise_rad_s, tau_noise_nm: standard deviation of the noise: that of what is
-            measured, see `noise_of`, and that of the state that a window begins with.
-        differs: whether positions differ by more than noise, the worst window left out.
-        causes: what explains the difference, the greatest share first; empty where it does not.
+        q_noise_rad, dq_noise_rad_s, tau_noise_nm: standard deviation of the noise: that of the
+            measurement, see `noise_of`, and that of the initial state of a window.
+        differs: whether positions differ by more than noise, without the worst window.
+        causes: causes of the difference, the largest first; empty without a difference.
     """
 
     q_rad: float
@@ -91,24 +91,24 @@ class JointGap(Record):
 
     @property
     def excess_rad(self) -> float:
-        """RMS of the difference in position without the noise, rad."""
+        """RMS of the position difference without the noise, rad."""
         return float(excess(np.array(self.q_rad), np.array(self.q_noise_rad)))
 
 
 class Gap(Record):
-    """How a session differs from the simulation of its commands.
+    """The difference between a session and the simulation of its commands.
 
     Attributes:
-        session: its name.
-        robot: name of the simulated one.
+        session: name of the session.
+        robot: name of the simulated robot.
         params: its parameters; None for the default ones.
         support: how the simulated base was held.
         window_s: length of a window.
-        simulated_s: of all windows.
-        delay_s: by how much torques are later than those of the commands that the simulator would
-            obey; None where that cannot be told.
-        q_rad: RMS of the differences in position of all joints, without noise.
-        joints: by name, those that differ most first.
+        simulated_s: length of all windows.
+        delay_s: delay of the torques relative to the commands that the simulator would use; None
+            if unknown.
+        q_rad: RMS position difference of all joints, without noise.
+        joints: by name, the largest difference first.
     """
 
     session: str
@@ -137,15 +137,15 @@ def gap(
     """Simulate the commands of a session, and compare.
 
     Args:
-        session: with commands and LowStates.
-        out: also write the session there, with what was simulated on /simulated/joint_states.
-        robot: to simulate, with its parameters; that of the session if None.
-        support: how the robot was held; as the session says if None.
-        window: s, after which the simulation begins anew with the measured state.
-        force: replace a file that is there.
+        session: session with commands and LowStates.
+        out: also write the session with the simulated joints on /simulated/joint_states.
+        robot: robot to simulate, with its parameters; that of the session if None.
+        support: how the robot was held; as recorded if None.
+        window: time after which the simulation restarts from the measured state, s.
+        force: replace an existing file.
 
     Raises:
-        G1StreamError: the session, the robot or the file does not allow it.
+        G1StreamError: the session, the robot or the file cannot be used.
     """
     if not isinstance(session, Session):
         session = open_session(session)
@@ -160,7 +160,7 @@ def gap(
 
 
 def robot_of(session: Session, name: Path | str | None = None, params: Path | None = None) -> G1:
-    """The robot to simulate: as named, as the parameters say, or that of the session.
+    """The robot to simulate: by name, from the parameters, or that of the session.
 
     Raises:
         G1StreamError: the robot or the parameters cannot be used.
@@ -171,22 +171,22 @@ def robot_of(session: Session, name: Path | str | None = None, params: Path | No
             return robot
     stream, _ = read_record(StreamSummary, session.metadata.get("stream"), "stream")
     if str(session.metadata.get("log_clock", "")).startswith("simulated"):
-        # A rollout has the URDF of its robot, whichever one its feed-forward took it for.
+        # A rollout has the URDF of its robot, whichever model its feed-forward used.
         stream = None
     known = stream.robot if stream and stream.robot in (*REVISIONS, *VARIANTS) else None
     return G1.load(known, params=params) if known or params else session.robot
 
 
 def excess(rms: Floats, noise: Floats) -> Floats:
-    """What is left of a root mean square without the noise in it."""
+    """Root mean square after subtraction of the noise's variance."""
     left: Floats = np.sqrt(np.maximum(np.square(rms) - np.square(noise), 0.0))
     return left
 
 
 def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) -> Gap:
-    """Measured against simulated, joint by joint."""
+    """Compare measured and simulated signals, joint by joint."""
     known = ~np.isnan(simulated.tau[:, 0])
-    known[0] = False  # where the simulation began
+    known[0] = False  # the simulation starts there
     pairs = ("q", "dq", "tau")
     differences = {name: getattr(recorded, name) - getattr(simulated, name) for name in pairs}
     rms = {name: np.sqrt(np.mean(values[known] ** 2, 0)) for name, values in differences.items()}
@@ -195,7 +195,7 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
         for i, name in enumerate(pairs)
     }
     left = excess(rms["q"], noise["q"])
-    # Without the worst window: it may have begun at a jerk, where noise hides the state.
+    # Without the worst window, because a jerk at its start may hide the state in noise.
     squares = np.where(known[:, np.newaxis], differences["q"] ** 2, 0.0)
     by_window = np.array([squares[part].sum(axis=0) for part in simulated.windows])
     rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
@@ -235,10 +235,10 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
 
 
 def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) where known.
+    """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) whether known.
 
-    The command is that which the motors obey up to the LowState, see `Recorded.in_force`; position
-    and velocity are in the middle between this LowState and the one before.
+    The command is the one in force up to the LowState, see `Recorded.in_force`. Position and
+    velocity are the means of this LowState and the one before.
     """
     number = np.concatenate([[-1], recorded.in_force(delay)[:-1]])
     known = number >= 0
@@ -250,17 +250,18 @@ def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.b
 
 
 def torque_delay(recorded: Recorded, robot: G1) -> tuple[float | None, Floats]:
-    """The delay of commands, s, with which measured torques fit best; and the torque scales (29,).
+    """The command delay, s, that best explains the measured torques, and torque scales (29,).
 
-    The delay is one of the robot's ticks, as in the embedded simulator; None where no torques are
-    reported, or commands hardly change. Scales are by least squares, 1 where there is no torque.
+    The delay is a multiple of the robot's tick, as in the embedded simulator. It is None if no
+    torques are reported, or if commands hardly change. Scales are from least squares, 1 without
+    torque.
     """
     best, scales, cost = None, np.ones(N_JOINTS), np.inf
     limits = robot.torque_limit
     costs = []
     for n in range(round(_LONGEST_DELAY / recorded.period) + 1):
         asked, known = motor_torque(recorded, n * recorded.period)
-        # What is clipped, or sensor noise times a gain, tells no delay.
+        # Clipped torques, and sensor noise times a gain, do not show the delay.
         use = known[:, np.newaxis] & (np.abs(asked) < _SATURATED * limits)
         x, y = np.where(use, asked, 0.0), np.where(use, recorded.tau, 0.0)
         square = (x * x).sum(axis=0)
@@ -282,7 +283,7 @@ def _causes(
     differs: NDArray[np.bool_],
     delay: float | None,
 ) -> dict[int, list[Cause]]:
-    """By motor index, what explains the difference of the joints that differ."""
+    """The causes of the differences, by motor index, for the joints that differ."""
     rows = np.flatnonzero(known)[::_EVERY]
     rate = 1.0 / recorded.period
     q = smoothed(recorded.q, rate, _CUTOFF)
@@ -319,10 +320,10 @@ def _causes(
 
 
 def _explained(columns: Mapping[tuple[str, str], Floats], values: Floats) -> list[Cause]:
-    """Least squares of values (R,) on columns (R,), and what each of them explains.
+    """Least squares of values (R,) on columns (R,), and the fraction that each column explains.
 
-    A column's share is its coefficient times its covariance with the values, over their variance
-    (J. Pratt 1987); the shares add up to the part that all explain.
+    The fraction is the column's coefficient times its covariance with the values, over their
+    variance (J. Pratt 1987). The fractions add up to that of all columns.
     """
     x = np.stack(list(columns.values()), axis=1)
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-12)
@@ -333,7 +334,7 @@ def _explained(columns: Mapping[tuple[str, str], Floats], values: Floats) -> lis
     normal = x.T @ x + 1e-9 * len(x) * np.eye(x.shape[1])
     coefficient = np.linalg.solve(normal, x.T @ values)
     left = values - x @ coefficient
-    # Neighbouring samples tell the same: some tenths of a second are one.
+    # Neighbouring samples are correlated: some tenths of a second count as one.
     errors = np.sqrt(np.diag(np.linalg.inv(normal)) * left.var() * 20.0)
     shares = coefficient * (x * values[:, np.newaxis]).sum(axis=0) / total
     return [
@@ -346,7 +347,7 @@ def _explained(columns: Mapping[tuple[str, str], Floats], values: Floats) -> lis
 
 
 def _gravity_torque(recorded: Recorded, robot: G1, q: Floats, rows: NDArray[np.intp]) -> Floats:
-    """(R, 29) N·m against gravity, of the pose and attitude in some rows."""
+    """(R, 29) N·m against gravity for pose and attitude in some rows."""
     dynamics, still = InverseDynamics(robot, gravity=GRAVITY), np.zeros(N_JOINTS)
     torques = [
         dynamics.solve("bolted", q[k], still, still, BaseMotion(recorded.quat_wxyz[k], np.zeros(3)))
@@ -364,7 +365,7 @@ def _write(
     *,
     force: bool,
 ) -> None:
-    """Write the session with what was simulated."""
+    """Write the session with the simulated joints."""
     source = MemorySource(str(session.path))
     source.add_metadata({**session.metadata, "gap": found.model_dump(mode="json")})
     for name, data in session.attachments.items():
@@ -382,7 +383,7 @@ def _write(
 
 
 def _render(found: Gap) -> str:
-    """As text."""
+    """The gap as text."""
     rows: list[Sequence[str]] = [
         ("joint", "q mrad", "noise", "dq rad/s", "noise", "tau N·m", "noise")
     ]

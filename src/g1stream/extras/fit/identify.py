@@ -1,9 +1,9 @@
-"""Fits the parameters of a robot to sessions, each with its interval of confidence and a verdict.
+"""Identifies a robot's parameters from sessions, with confidence intervals and a validation.
 
-Least squares on the inverse dynamics (`regression`) are biased: by sensor noise in velocities and
-accelerations, by the low-pass, and by what is sampled when. So the same estimate is made of a
-simulation of the same commands, with the noise of the session, whose parameters are known. The
-parameters are those with which the simulation gives the estimate that the robot gave (indirect
+Least squares on the inverse dynamics (`regression`) are biased by sensor noise in velocities and
+accelerations, by the low-pass filter, and by the times of sampling. The same estimate is therefore
+made from a simulation of the same commands with the session's noise and known parameters. The
+result is the parameters with which the simulation gives the same estimate as the robot (indirect
 inference: C. Gourieroux, A. Monfort and E. Renault 1993).
 """
 
@@ -48,24 +48,24 @@ Kind = Literal[
     "torque_lag",
 ]
 
-#: Of a window of the regression, and of one of the judgement, s.
+#: Length of a window of the regression, and of one of the validation, s.
 _WINDOW, _JUDGED = 2.0, 1.0
-#: Of long sessions, windows of so many s together are fitted, and judged.
+#: Most seconds of windows in long sessions that are fitted, and validated.
 _MOST, _MOST_JUDGED = 60.0, 30.0
-#: Simulations with better and better parameters, more of them where a centre of mass is elsewhere,
-#: and draws of noise for the last one.
+#: Iterations of simulation and fit, more of them with shifted centres of mass, and draws of noise
+#: for the last one.
 _ROUNDS, _MORE_ROUNDS, _DRAWS = 3, 2, 4
-#: Of a session that is the only one, what the judgement is made with.
+#: Fraction of a single session that is used for validation.
 _HELD_OUT: Final = 0.2
-#: A session tells a value whose interval reaches this far, as a part of the value or of the default
-#: if that is greater; masses, kg; centres of mass, m; scales.
+#: A session determines a value if half its 95 % interval is at most this: as a fraction of the
+#: value or of the default if that is larger; of masses, kg; of centres of mass, m; of scales.
 _TOLD, _TOLD_MASS, _TOLD_COM, _TOLD_SCALE = 0.5, 0.5, 0.02, 0.05
-#: A centre of mass is fitted where it explains more than chance does, by this probability, and is
-#: shifted by so much, m. Else a mass explains the same.
+#: A centre of mass is fitted if its effect is not chance at this probability and its shift is above
+#: this, m. Otherwise a mass explains the same.
 _CHANCE, _SHIFTED = 0.999, 0.004
-#: The lag of torques is told to this, s.
+#: The same for the lag of torques, s.
 _TOLD_LAG: Final = 2e-3
-#: No interval of a scale is narrower: when in a tick a torque was taken is not known.
+#: Least interval of a scale, because the time of a torque within a tick is unknown.
 _FINEST_SCALE: Final = 0.005
 _UNITS: Final = {
     "damping": "N·m·s/rad",
@@ -77,23 +77,23 @@ _UNITS: Final = {
     "command_delay": "s",
     "torque_lag": "s",
 }
-#: Least values that a simulation takes.
+#: Least values that a simulation accepts.
 _LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
-#: Most by which a mass, kg, and a centre of mass, m, differ in a simulation; a link keeps a half.
+#: Largest changes of a mass, kg, and a centre of mass, m, in a simulation; a link keeps a half.
 _MOST_MASS, _MOST_SHIFT, _KEPT = 5.0, 0.2, 0.5
 
 
 class FittedValue(Record):
-    """A parameter.
+    """An identified parameter.
 
     Attributes:
-        kind: as the table of a parameters file is called; torque_lag, that of measured torques
-            behind measured positions, is in no file, as it changes nothing that the robot does.
+        kind: name of its table in a parameters file. torque_lag, the lag of measured torques behind
+            measured positions, is in no file, because it does not affect the robot's movement.
             com_x, com_y and com_z are the parts of com.
-        name: of the joint or the link; empty for the command delay.
-        value, low, high: with the ends of its 95 % interval.
-        default: without a parameters file.
-        told: whether the sessions can tell it; others are not written.
+        name: name of the joint or the link; empty for the command delay.
+        value, low, high: the value, and the ends of its 95 % interval.
+        default: value without a parameters file.
+        told: whether the sessions determine it; others are not written.
     """
 
     kind: str
@@ -106,7 +106,7 @@ class FittedValue(Record):
 
     @property
     def written(self) -> bool:
-        """Whether it goes into a parameters file: it is told, and no mass or scale of no effect."""
+        """Whether a parameters file has it: it is determined, and masses and scales differ."""
         if self.kind == "torque_lag":
             return False
         changes = not self.low <= self.default <= self.high
@@ -114,16 +114,16 @@ class FittedValue(Record):
 
 
 class Fit(Record):
-    """The parameters of a robot, and how well they do.
+    """The identified parameters of a robot, and their validation.
 
     Attributes:
-        sessions: their names.
-        held_out: those of the judgement; "the last 20 %" where there was no other session.
-        robot: the one whose masses they are relative to.
+        sessions: names of the sessions.
+        held_out: name of the validation session; "the last 20 %" without another session.
+        robot: robot model to whose masses they are relative.
         support: how it was held.
-        fitted_s: of the windows that were fitted.
-        values: of all parameters.
-        gap_before_rad, gap_after_rad: of the held-out session, RMS of all joints without noise,
+        fitted_s: length of the fitted windows.
+        values: all parameters.
+        gap_before_rad, gap_after_rad: gap of the held-out session, RMS of all joints without noise,
             with the default parameters and with these.
     """
 
@@ -138,15 +138,15 @@ class Fit(Record):
 
     @property
     def reduction(self) -> float:
-        """By how much the gap of the held-out session shrinks, as a part of it."""
+        """Relative reduction of the held-out session's gap."""
         return 1.0 - self.gap_after_rad / max(self.gap_before_rad, 1e-12)
 
     def find(self, kind: Kind, name: str = "") -> FittedValue:
-        """A value by its kind and the joint or link."""
+        """Find a value by its kind and the joint or link."""
         return next(one for one in self.values if (one.kind, one.name) == (kind, name))
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
-        """Write the parameters that were told as a file for `--params`.
+        """Write the determined parameters as a file for `--params`.
 
         Raises:
             RecordingError: the file cannot be written.
@@ -168,17 +168,17 @@ def fit_parameters(
     support: str | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Fit:
-    """Fit the parameters of a robot.
+    """Identify the parameters of a robot.
 
     Args:
-        sessions: of the robot, bolted or hanging.
-        hold_out: another one, to judge the parameters with; the last fifth of each session if None.
-        robot: without parameters; that of the first session if None.
-        support: how it was held; as the sessions say if None.
-        progress: called with the part that is done.
+        sessions: sessions of the robot, bolted or hanging.
+        hold_out: another session for validation; the last fifth of each session if None.
+        robot: robot without parameters; that of the first session if None.
+        support: how it was held; as recorded if None.
+        progress: called with the fraction done.
 
     Raises:
-        G1StreamError: a session does not allow it.
+        G1StreamError: a session cannot be used.
     """
     opened = [one if isinstance(one, Session) else open_session(one) for one in sessions]
     robot = replace(robot or robot_of(opened[0]), parameters=NOMINAL)
@@ -190,7 +190,7 @@ def fit_parameters(
     else:
         other = hold_out if isinstance(hold_out, Session) else open_session(hold_out)
         fitted, judged = records, [Recorded.of(other)]
-    # Where exactly the band acts on the torso of a robot that hangs is not known, so not its mass.
+    # The band's exact point of attack on a hanging robot's torso is unknown, and so is its mass.
     links = [link for link in LINKS if "hanging" not in held or link != "torso_link"]
     masses = [("mass", link) for link in links]
     regression = Regression(robot, masses)
@@ -198,7 +198,7 @@ def fit_parameters(
     measured = [_measured(one, how, _MOST / len(data)) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
         raise RecordingError(
-            f"{fitted[0].name} has no torques: tau_est of every LowState is 0.",
+            f"{fitted[0].name} has no torques: tau_est is 0 in every LowState.",
             "Record a robot, or a simulator, that reports the torques of its motors.",
         )
     aim = regression.estimate(measured)
@@ -245,8 +245,8 @@ def _held(recorded: Recorded, support: str | None) -> Support:
     held = world_support(recorded, support)
     if held == "free":
         raise RecordingError(
-            f"{recorded.name} is of a robot on its feet, whose forces are not known.",
-            "Record one that is bolted or hangs, such as with `g1stream fit --motion-out`.",
+            f"{recorded.name} is of a robot on its feet, with unknown contact forces.",
+            "Record a bolted or hanging robot, for example with `g1stream fit --motion-out`.",
         )
     return held
 
@@ -261,7 +261,7 @@ def _has_torque(recorded: Recorded) -> bool:
 
 
 def _windows(recorded: Recorded, most: float) -> list[slice]:
-    # The first state of a window is the last one of the window before.
+    # The first state of a window is the last one of the previous window.
     return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW, most)]
 
 
@@ -272,12 +272,12 @@ def _measured(recorded: Recorded, support: Support, most: float) -> Movement:
 
 
 def _base(recorded: Recorded) -> Floats:
-    """(N, 10) of the IMU in the pelvis."""
+    """(N, 10) measurements of the pelvis's IMU."""
     return np.concatenate([recorded.quat_wxyz, recorded.gyroscope, recorded.accelerometer], axis=1)
 
 
 class _Simulation:
-    """The sessions, simulated with some parameters, to be estimated as the measured ones are."""
+    """Simulations of the sessions with some parameters, estimated like the measurements."""
 
     def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1) -> None:
         most = _MOST / len(data)
@@ -316,7 +316,7 @@ def _moved_links(
     simulation: _Simulation,
     delay: float,
 ) -> list[str]:
-    """The links whose centre of mass is elsewhere: a mass at the known one does not explain all."""
+    """The links with a shifted centre of mass, for which an added mass does not explain all."""
     added = [("mass", link) for link in links]
     regression = Regression(robot, [*added, *((axis, link) for link in links for axis in AXES)])
     aim = regression.estimate(measured)
@@ -326,7 +326,7 @@ def _moved_links(
     for link in links:
         at = [names.index((axis, link)) for axis in AXES]
         shift = (aim.values - found)[at]
-        # The simulation has noise of its own.
+        # The simulation has its own noise.
         covariance = 2.0 * aim.covariance[np.ix_(at, at)]
         distance = float(shift @ np.linalg.solve(covariance, shift))
         if distance > least and np.abs(shift).max() > _SHIFTED:
@@ -335,11 +335,11 @@ def _moved_links(
 
 
 def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
-    """The torque scales (29,) by least squares, and their variances, by blocks of a second."""
+    """The torque scales (29,) from least squares, and their variances, from blocks of a second."""
     squares, products = [], []
     for one in records:
         asked, known = motor_torque(one, delay)
-        # Of a simulation some states are nan.
+        # Some states of a simulation are nan.
         use = known[:, np.newaxis] & (np.abs(asked) > 0.0) & np.isfinite(one.tau)
         x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
         for rows in np.array_split(np.arange(len(x)), max(1, round(one.time[-1] - one.time[0]))):
@@ -358,7 +358,7 @@ def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
 def _parameters(
     robot: G1, names: Sequence[tuple[str, str]], values: Floats, scale: Floats, delay: float
 ) -> Parameters:
-    """Those of a simulation."""
+    """The parameters for a simulation."""
     damping, friction, armature = (
         np.maximum(part, _LEAST[kind])
         for kind, part in zip(_LEAST, values[: 3 * N_JOINTS].reshape(3, N_JOINTS), strict=True)
@@ -408,10 +408,10 @@ def _fit(
         if kind != "mass":
             default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
         told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
-        if kind == "mass":  # one that leaves the link next to nothing stands for something else
+        if kind == "mass":  # a mass that leaves the link almost none has another cause
             own = float(compiled_dynamics(robot, GRAVITY).body(name).mass[0])
             told = told and value > -_KEPT * own
-        elif value + to < 0.0:  # no motor has such friction or inertia
+        elif value + to < 0.0:  # friction and inertia cannot be negative
             told = False
         if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
             continue
@@ -449,7 +449,7 @@ def _value(
 
 
 def _written(fit: Fit) -> Parameters:
-    """The parameters of the file that a fit writes."""
+    """The parameters in the file of a fit."""
     arrays: dict[str, Any] = {
         kind: getattr(NOMINAL, kind).copy()
         for kind in ("damping", "friction", "armature", "torque_scale")
@@ -488,8 +488,8 @@ def _toml(fit: Fit) -> str:
     """The parameters as a file, with their intervals as comments."""
     lines = [
         f"# Parameters of a G1, fitted by g1stream to {', '.join(fit.sessions)}.",
-        f"# Gap of {fit.held_out}: {1e3 * fit.gap_before_rad:.2f} mrad before, "
-        f"{1e3 * fit.gap_after_rad:.2f} mrad with them. Behind each value: its 95 % interval.",
+        f"# Gap of {fit.held_out}: {1e3 * fit.gap_before_rad:.2f} mrad without, "
+        f"{1e3 * fit.gap_after_rad:.2f} mrad with them. Comments are 95 % intervals.",
         f'robot = "{fit.robot}"',
     ]
     for kind, unit in sorted(_UNITS.items(), key=lambda one: one[0] != "command_delay"):
@@ -513,7 +513,7 @@ def _interval(one: FittedValue, unit: str) -> str:
 
 
 def _render(fit: Fit) -> str:
-    """As text."""
+    """The fit as text."""
     heads = ("joint", "damping", "+-", "friction", "+-", "armature", "+-", "scale", "+-")
     rows: list[Sequence[str]] = [heads]
     kinds: tuple[Kind, ...] = ("damping", "friction", "armature", "torque_scale")
@@ -553,12 +553,12 @@ def _render(fit: Fit) -> str:
                 "fit     ",
                 f"{', '.join(fit.sessions)}: {fit.fitted_s:.1f} s, {fit.robot}, {fit.support}",
             ),
-            f"delay   {told if delay.told else 'the sessions do not tell'}",
+            f"delay   {told if delay.told else 'not determined by the sessions'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
             f"after, {100 * fit.reduction:.0f} % less, of {fit.held_out}",
             f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
             f"{1e3 * (lag.value - lag.low):.2f}",
-            *(["?       the sessions cannot tell this value"] if untold else []),
+            *(["?       the sessions do not determine this value"] if untold else []),
             "",
             *table(rows, left=(0,)),
             "",

@@ -1,4 +1,4 @@
-"""What a session recorded of a robot and its commands, as a simulation takes it."""
+"""The commands and states of a session in the form that a simulation needs."""
 
 from __future__ import annotations
 
@@ -22,43 +22,43 @@ from g1stream.types import Floats, Ints, StreamSupport
 
 __all__ = ["Recorded", "noise_of", "smoothed"]
 
-#: A longer time between two LowStates, s or periods, interrupts the record.
+#: A longer time between two LowStates, s or periods, splits the record.
 _GAP, _GAP_PERIODS = 0.02, 5.0
-#: States are interpolated at even times where this share of their intervals is off by so much.
+#: States are resampled evenly if this fraction of their intervals is off by this much.
 _UNEVEN, _OFF = 0.005, 0.2
-#: The robot's own clock counts if its seconds are real ones to this share.
+#: The robot's own clock is used if its rate is within this fraction of real time.
 _CLOCK: Final = 0.5
-#: The attitude and place of a base that is driven along them are smoothed to so many Hz.
+#: Low-pass frequency for attitude and place of a base that is driven along them, Hz.
 _BASE_CUTOFF: Final = 15.0
 #: Attributes with a row for each LowState.
 _OF_STATES: Final[tuple[str, ...]] = (
     *("published", "time", "q", "dq", "tau", "quat_wxyz", "gyroscope", "accelerometer"),
     *("base_pos", "base_lin_vel"),
 )
-#: The standard deviation of the fourth difference of white noise over that of the noise.
+#: Ratio of the standard deviations of white noise's fourth difference and the noise.
 _FOURTH: Final = np.sqrt(70.0)
-#: The median of |x| over the standard deviation of a normal distribution.
+#: Ratio of the median of |x| to the standard deviation of a normal distribution.
 _MEDIAN: Final = 0.6745
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """N LowStates from the first command to the last, in the order of their publish times.
+    """N LowStates from the first command to the last, in the order of publish times.
 
     Attributes:
-        name: of the session.
+        name: name of the session.
         published: (N,) ns.
-        time: (N,) s, on the robot's own clock where it has one: LowState's tick.
-        period: s between two of them.
+        time: (N,) s, on the robot's own clock (LowState's tick) if it has one.
+        period: time between two LowStates, s.
         q, dq, tau: (N, 29) as measured, motor order.
         quat_wxyz: (N, 4) attitude of the pelvis.
         gyroscope: (N, 3) rad/s, pelvis frame.
         accelerometer: (N, 3) m/s², pelvis frame, gravity included.
-        base_pos, base_lin_vel: (N, 3) m and m/s, world; None where the base's place is not known.
+        base_pos, base_lin_vel: (N, 3) m and m/s, world; None if the base's place is unknown.
         command_times: (M,) ns.
-        enabled: (M, 29) which motors are.
+        enabled: (M, 29) whether each motor is enabled.
         commands: (M, 5, 29) q, dq, tau, kp and kd.
-        support: how the robot was held, as the session says; None where it does not.
+        support: how the robot was held according to the session; None if unknown.
     """
 
     name: str
@@ -99,14 +99,14 @@ class Recorded:
         for name in columns[:-1]:
             finite &= (np.abs(getattr(measured, name)[order]) < NUMBER).all(axis=1)
         finite &= np.diff(published, prepend=published[:1] - 1) > 0
-        # A simulator may publish a state twice before it goes on.
+        # A simulator may publish a state twice before its next step.
         tick = measured.tick[order]
         finite &= (np.diff(tick, prepend=tick[:1] - 1) != 0) | (not tick.any())
         stream, _ = read_record(StreamSummary, session.metadata.get("stream"), "stream")
         support = stream.support if stream else None
         if len(asked):
             first, last = command.published[asked[[0, -1]]]
-            if support in ("free", "feet"):  # until then a simulator holds the base
+            if support in ("free", "feet"):  # a simulator holds the base until then
                 first = max(first, session.start_ns)
             finite &= (published >= first) & (published <= last)
         order = order[finite]
@@ -148,11 +148,11 @@ class Recorded:
 
     @property
     def gap(self) -> float:
-        """A longer time between two states interrupts the record, s."""
+        """A longer time between two states splits the record, s."""
         return max(_GAP, _GAP_PERIODS * self.period)
 
     def _evened(self) -> Recorded:
-        """The same at even times between gaps: positions by cubics, what else there is by lines."""
+        """The same, resampled evenly between gaps: positions by cubics, the rest linearly."""
         ends = [0, *(np.flatnonzero(np.diff(self.time) > self.gap) + 1).tolist(), len(self.time)]
         spans = [(self.time[a], self.time[b - 1]) for a, b in pairwise(ends) if b - a > 1]
         at = np.concatenate(
@@ -180,9 +180,9 @@ class Recorded:
         return replace(self, **of_states)
 
     def windows(self, length: float, most: float = np.inf) -> list[slice]:
-        """Parts of `length` s at most, none over a gap; the last state of one begins the next.
+        """Parts of at most `length` s without gaps; the last state of one is the first of the next.
 
-        Of more than `most` s, evenly spread ones that are no more.
+        If they are longer than `most` s in total, evenly spread ones up to this time.
         """
         every = list(self._windows(length))
         total = sum(part.stop - part.start for part in every) * self.period
@@ -200,12 +200,12 @@ class Recorded:
             start = end
 
     def in_force(self, delay: float) -> Ints:
-        """(N,) which command the motors obey from each LowState to the next one; -1 for none.
+        """(N,) index of the command in force from each LowState to the next one; -1 for none.
 
-        As in the embedded simulator: a command that was published before a LowState is received
-        with it, and obeyed `delay` s later, to the nearest LowState.
+        As in the embedded simulator, a command that was published before a LowState is received
+        with it, and used `delay` s later, rounded to a LowState.
         """
-        received = np.searchsorted(self.published, self.command_times)  # with which LowState
+        received = np.searchsorted(self.published, self.command_times)  # LowState of the reception
         obeyed = received + int(np.ceil(delay / self.period - 0.5))
         newest: Ints = np.searchsorted(obeyed, np.arange(len(self.time)), side="right") - 1
         return newest
@@ -220,7 +220,7 @@ class Recorded:
 def _at(
     instants: NDArray[np.number[Any]], times: NDArray[np.number[Any]], values: Floats
 ) -> Floats:
-    """(N, K) values at instants (N,), linearly between those of (R,) times, rising."""
+    """(N, K) values at instants (N,), interpolated linearly at increasing times (R,)."""
     first = times[0]
     return np.stack(
         [np.interp(instants - first, times - first, column) for column in values.T], axis=1
@@ -228,12 +228,12 @@ def _at(
 
 
 def _own_time(tick: NDArray[np.uint32], published: Ints) -> Floats:
-    """(N,) s from the first state: by the robot's ticks, ms, where they are a clock."""
+    """(N,) s from the first state, from the robot's ticks, ms, if they are a clock."""
     ticks = (tick.astype(np.int64) - int(tick[0])) / 1e3
     real = (published - published[0]) / 1e9
     if (np.diff(ticks) > 0).all() and abs(ticks[-1] / real[-1] - 1.0) < _CLOCK:
         return ticks
-    # Publish times have the jitter of their program: intervals near the usual one are that one.
+    # Publish times have jitter, so intervals close to the usual one are set to it.
     period = float(np.median(np.diff(real)))
     steps = np.diff(real) / period
     near = np.abs(steps - np.round(steps).clip(1)) < 0.5 - 1e-9
@@ -244,7 +244,7 @@ def _own_time(tick: NDArray[np.uint32], published: Ints) -> Floats:
 
 
 def smoothed(values: Floats, rate: float, cutoff: float) -> Floats:
-    """Values (N, K) at a rate, Hz, low-passed without a phase; short ones as they are."""
+    """Low-pass filter values (N, K) at a rate, Hz, without phase; short ones are unchanged."""
     sections = butter(2, min(cutoff, 0.4 * rate), fs=rate, output="sos")
     pad = min(len(values) - 1, 3 * round(rate / cutoff))
     if pad < 1:
@@ -256,8 +256,9 @@ def smoothed(values: Floats, rate: float, cutoff: float) -> Floats:
 def noise_of(values: Floats) -> Floats:
     """Standard deviations (K,) of the white noise in evenly sampled values (N, K).
 
-    That of the fourth difference, over sqrt(70): a movement of some Hz, sampled at 500 Hz, has
-    next to nothing of it. The median of absolute values stands for it, which steps do not change.
+    It is that of the fourth difference, over sqrt(70), to which a movement of some Hz, sampled at
+    500 Hz, contributes almost nothing. It is estimated by the median of absolute values, which is
+    robust against steps.
     """
     if len(values) < 16:
         return np.zeros(values.shape[1])

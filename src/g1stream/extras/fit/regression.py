@@ -1,4 +1,4 @@
-"""Least squares on the inverse dynamics: what movements and torques say of the parameters.
+"""Least squares on the inverse dynamics: parameters from movements and torques.
 
 A joint's torque is linear in its viscous friction, dry friction and armature, and in masses that
 are added to links (W. Khalil and E. Dombre, "Modeling, Identification and Control of Robots",
@@ -7,10 +7,10 @@ are added to links (W. Khalil and E. Dombre, "Modeling, Identification and Contr
     tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
           - lag dtau/dt
 
-The lag is that of the measured torques behind the measured positions, one for all joints. Left
-out, it would be taken for friction. Velocities and accelerations are those of positions that are
-low-passed without a phase, and both sides of the equation are low-passed alike. What noise,
-sampling and low-pass do to the estimates is not corrected here: `identify` does, by simulation.
+The lag is that of the measured torques behind the measured positions, the same for all joints.
+Without this term it would appear as friction. Velocities and accelerations are derivatives of
+positions after a zero-phase low-pass, and both sides of the equation have the same low-pass. The
+bias from noise, sampling and low-pass is not corrected here: `identify` does this by simulation.
 """
 
 from __future__ import annotations
@@ -39,40 +39,40 @@ LINKS: Final = (
         for part in ("hip_yaw", "knee", "ankle_roll", "shoulder_yaw", "elbow", "wrist_yaw")
     ),
 )
-"""The links to which masses are added, those of what people mount: trunk, thighs, shanks, feet,
-upper arms, forearms and hands."""
+"""The links to which masses are added, because people mount things on them: trunk, thighs, shanks,
+feet, upper arms, forearms and hands."""
 
 AXES: Final = ("com_x", "com_y", "com_z")
-"""The parameters of a centre of mass: by how much it is shifted, m, in the link's frame."""
+"""The parameters of a centre of mass: its shift, m, in the link's frame."""
 
 _CUTOFF: Final = 10.0
-"""Of the low-pass, Hz."""
+"""Cutoff of the low-pass, Hz."""
 _ROWS: Final = 50.0
-"""Equations per second that are kept: neighbouring ones tell the same."""
-#: The ends of a window that the low-pass has not settled in, s.
+"""Equations per second that are used; neighbouring ones are correlated."""
+#: Time at the ends of a window in which the low-pass has not settled, s.
 _MARGIN: Final = 0.1
-#: Dry friction is unknown below this speed, rad/s, and has its full value from about half of it on.
+#: Below this speed, rad/s, dry friction is unknown. Its full value is used from about half of it.
 _STILL: Final = 0.1
-#: Nearer than this to a limit the joint may press against its stop, rad.
+#: Closer than this to a limit a joint may press against its stop, rad.
 _STOP: Final = 0.03
-#: A block of equations, s, whose errors are taken for independent of those of others.
+#: Length of a block of equations, s. Errors of different blocks count as independent.
 _BLOCK: Final = 1.0
-#: What is known of the parameters beforehand, as a standard deviation of so many times the default,
-#: of added masses, kg, shifts, m, and of the lag, s: it decides only where a session tells nothing.
+#: Prior standard deviations of the parameters, as multiples of the default; of added masses, kg,
+#: shifts, m, and the lag, s. They only matter if a session has no information.
 _PRIOR, _PRIOR_MASS, _PRIOR_COM, _PRIOR_LAG = 5.0, 3.0, 0.05, 0.02
-#: By how much a centre of mass is shifted for its equations, m.
+#: Shift of a centre of mass for its equations, m.
 _SHIFT: Final = 0.01
 _BASE: Final = 6
 
 
 class Movement(NamedTuple):
-    """What is known of a robot at N instants, evenly sampled within each window.
+    """Measurements of a robot at N instants, evenly sampled within each window.
 
     Attributes:
         q: (N, 29) rad.
         tau: (N, 29) N·m that the motors applied.
         base: (N, 10) of the pelvis's IMU: quaternion wxyz, gyroscope, accelerometer.
-        period: s.
+        period: sampling period, s.
         windows: parts without a gap.
         support: how the base is held.
     """
@@ -86,12 +86,12 @@ class Movement(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Parameters of least squares.
+    """The result of least squares.
 
     Attributes:
-        values: (P,) in the order of `names_of`.
-        covariance: (P, P) by blocks of equations, whatever their errors are like.
-        blocks: how many.
+        values: (P,) parameters in the order of `names_of`.
+        covariance: (P, P) from blocks of equations, for any distribution of their errors.
+        blocks: number of blocks.
     """
 
     values: Floats
@@ -100,7 +100,7 @@ class Estimate(NamedTuple):
 
 
 def names_of(added: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """All parameters: their kind, and the joint or link."""
+    """All parameters as pairs of kind and joint or link."""
     motors = [(kind, name) for kind in ("damping", "friction", "armature") for name in JOINT_NAMES]
     return [*motors, *added, ("torque_lag", "")]
 
@@ -109,7 +109,7 @@ class Regression:
     """The equations of a robot, with the masses of its URDF.
 
     Args:
-        robot: without parameters.
+        robot: robot without parameters.
         added: parameters of links: `mass` or one of `AXES`, and the link.
     """
 
@@ -144,10 +144,10 @@ class Regression:
         self._imu_pos = robot.origin_pos[imu] if robot.parent[imu] == 0 else np.zeros(3)
 
     def estimate(self, movements: Sequence[Movement]) -> Estimate:
-        """The parameters with which the equations of some movements fit best.
+        """The parameters that best fit the equations of some movements.
 
-        Equations of a joint count by the variance of what they leave. The covariance is that of
-        blocks of a second (H. White 1980, by clusters).
+        Equations of a joint are weighted by the variance of their residuals. The covariance is that
+        of blocks of a second (H. White 1980, by clusters).
         """
         parts = [part for one in movements for part in self._equations(one)]
         n = 3 * N_JOINTS + len(self.added) + 1
@@ -186,7 +186,7 @@ class Regression:
             q = smoothed(movement.q[part], rate, _CUTOFF)
             dq = np.gradient(q, movement.period, axis=0)
             ddq = np.gradient(dq, movement.period, axis=0)
-            # Both sides are low-passed alike; positions are smooth enough to be used as they are.
+            # Both sides have the same low-pass. Positions are smooth enough without it.
             dry = smoothed(np.tanh(dq / (0.5 * _STILL)), rate, _CUTOFF)
             tau = smoothed(movement.tau[part], rate, _CUTOFF)
             base = smoothed(movement.base[part], rate, _CUTOFF)
@@ -211,10 +211,10 @@ class Regression:
     def _inverse(
         self, q: Floats, dq: Floats, ddq: Floats, base: Floats, turning: Floats, support: Support
     ) -> tuple[Floats, Floats]:
-        """Torques (R, 29) without rotors and friction, and (L, R, 29) of a kg or m of each `added`.
+        """Torques (R, 29) without rotors and friction, and (L, R, 29) per kg or m of each `added`.
 
-        What carries a robot that hangs acts at the torso's mass centre, as in the feed-forward: its
-        force is that on the six rows of the base.
+        The force that carries a hanging robot acts at the torso's mass centre, as in the
+        feed-forward. It is the force on the six rows of the base.
         """
         mujoco, data = self._mujoco, self._data
         found = np.zeros((len(self._models), len(q), N_JOINTS))
@@ -252,7 +252,7 @@ class Regression:
 
 
 class _Block(NamedTuple):
-    """R equations of each joint: y (R, 29) = own x (3, R, 29) + shared (L, R, 29), times theirs."""
+    """R equations of each joint: y (R, 29) = own x (3, R, 29) + shared (L, R, 29) x parameters."""
 
     y: Floats
     x: Floats
@@ -285,7 +285,7 @@ class _Block(NamedTuple):
         return matrix, right
 
     def squares(self, values: Floats) -> Floats:
-        """(29,) what the equations leave, squared and summed."""
+        """(29,) sums of the squared residuals."""
         own, masses = values[: 3 * N_JOINTS].reshape(3, N_JOINTS), values[3 * N_JOINTS :]
         left = self.y - (self.x * own[:, np.newaxis]).sum(axis=0)
         left -= np.tensordot(masses, self.shared, axes=1)

@@ -1,4 +1,4 @@
-"""`g1stream simulate`: the commands of a session, simulated again."""
+"""`g1stream simulate`: simulates the commands of a session and compares with the robot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from g1stream.cli.flags import argument, flag
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate(SettingsCommand):
-    """Gives the recorded commands to the embedded simulator, from the measured state, and compares.
+    """Sends the recorded commands to the embedded simulator, from the measured state, and compares.
 
-    Each window begins with the measured state, so that differences do not add up. Printed is by
-    how much position, velocity and torque of each joint differ, beside the noise of the session,
-    and what explains it: friction, inertia, weight, lag, backlash, saturation. With --out, the
-    session is written with the simulated joints, which plots and reports then show.
+    Each window begins with the measured state, so that differences do not accumulate. For each
+    joint it prints the difference in position, velocity and torque, the noise of the session, and
+    the causes: friction, inertia, weight, lag, backlash, saturation. With --out it writes the
+    session with the simulated joints, which plots and reports then show.
 
     Examples:
       g1stream simulate session.mcap
@@ -24,23 +24,23 @@ class Simulate(SettingsCommand):
       g1stream simulate session.mcap --params g1.toml --json
 
     Exit codes:
-      0  simulated, whatever the difference
-      2  bad input: no commands or states, or it is not known how the robot was held
+      0  simulated, with any difference
+      2  bad input: no commands or states, or unknown support of the robot
     """
 
     session: Path = argument("Session file, or directory of a split recording.", "SESSION")
     out: Path | None = flag(
         None, "Write the session with the simulated joints.", "MCAP", aliases=("-o",)
     )
-    force: bool = flag(False, "Replace a file that is there.")
-    window: float = flag(1.0, "Begin anew with the measured state after this.", "SECONDS", gt=0.0)
+    force: bool = flag(False, "Replace an existing file.")
+    window: float = flag(1.0, "Time between restarts from the measured state.", "SECONDS", gt=0.0)
     support: str | None = flag(
         None,
         "How the robot was held: bolted, hanging, follow, free, feet.",
         "SUPPORT",
-        shown="as the session says",
+        shown="as recorded",
     )
-    json: bool = flag(False, "Print what was found as JSON.")
+    json: bool = flag(False, "Print the results as JSON.")
 
     def run(self) -> int:
         """Simulate, print, and return the exit code."""
@@ -48,7 +48,7 @@ class Simulate(SettingsCommand):
         from g1stream.extras.fit.gap import gap, robot_of
         from g1stream.files import check_not_input, check_output_path, check_suffix
 
-        if self.out is not None:  # refused now, and not when all is computed
+        if self.out is not None:  # checked before the long computation
             check_suffix(self.out, "a session file", ".mcap")
             check_not_input(self.out, self.session)
             check_output_path(self.out, force=self.force)

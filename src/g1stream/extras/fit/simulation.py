@@ -1,4 +1,4 @@
-"""The simulated robot under the commands of a session, in windows from the measured state."""
+"""Simulation of a robot under the commands of a session, in windows from the measured state."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from g1stream.types import Floats, StreamSupport, Support
 
 __all__ = ["Simulated", "simulate_commands", "world_support"]
 
-#: Of the physics, s: that of the embedded simulator at 500 Hz.
+#: Step of the physics, s, as in the embedded simulator at 500 Hz.
 _TIMESTEP: Final = 1e-3
-#: The state that a window begins with is that of a cubic through so many samples on both sides.
+#: Number of samples on both sides for the cubic that gives the initial state of a window.
 _SIDE: Final = 12
-#: Noise below which a window begins with the measured state itself, rad and rad/s.
+#: Below this noise a window begins with the measured state itself, rad and rad/s.
 _CLEAN: Final = (2e-6, 2e-4)
-#: So many windows are simulated again from another state within the noise, and one in so many.
+#: Least number, and one in how many windows, to simulate again from another state within the noise.
 _REPEATED, _ONE_IN = 4, 8
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What the simulated robot did, at the times of the LowStates of a `Recorded`.
+    """The simulated robot at the times of the LowStates of a `Recorded`.
 
     Attributes:
-        q, dq, tau: (N, 29) rad, rad/s, N·m, motor order; nan where nothing was simulated.
+        q, dq, tau: (N, 29) rad, rad/s, N·m, motor order; nan outside of simulated windows.
         base: (N, 10) of the IMU in the pelvis: quaternion wxyz, gyroscope, accelerometer.
-        windows: which states of the recording each window has.
+        windows: the states of each window.
         support: how the base was held.
-        spread: (3, 29) by how much position, velocity and torque differ, RMS, because the noise of
-            the measured state that a window begins with is not known.
+        spread: (3, 29) RMS uncertainty of position, velocity and torque from the noise of the
+            measured state with which a window begins.
     """
 
     q: Floats
@@ -53,21 +53,21 @@ class Simulated:
 def world_support(recorded: Recorded, support: str | None = None) -> Support:
     """How the base of the simulated robot is held.
 
-    A bolted one is bolted. One that hangs does so from the band of the embedded simulator, which
-    pulls at the torso: its waist carries what is below, which a base that is driven would not let
-    it. One that follows is driven along the measured base. Nothing holds one that stands.
+    A bolted robot is bolted. A hanging one hangs from the band of the embedded simulator, which
+    pulls at the torso, because a driven base would not let the waist carry what is below. A
+    following one is driven along the measured base. Nothing holds a standing one.
 
     Args:
-        recorded: what was recorded.
-        support: that of the robot; as the session says if None.
+        recorded: the recording.
+        support: support of the robot; as recorded if None.
 
     Raises:
-        ConfigError: the session does not say, or not where the pelvis was.
+        ConfigError: the session does not contain the support, or not the pelvis's place.
     """
     support = support or recorded.support
     if support is None:
         raise ConfigError(
-            f"{recorded.name} does not say how the robot was held.",
+            f"{recorded.name} does not contain how the robot was held.",
             "Give --support bolted, hanging, follow or free.",
         )
     known = get_args(StreamSupport)
@@ -76,8 +76,8 @@ def world_support(recorded: Recorded, support: str | None = None) -> Support:
     held = cast("Support", "free" if support == "feet" else support)
     if held in ("follow", "free") and recorded.base_pos is None:
         raise ConfigError(
-            f"{recorded.name} does not say where the pelvis of the robot was.",
-            "Record rt/sportmodestate, or a robot that is bolted or hangs.",
+            f"{recorded.name} does not contain the position of the robot's pelvis.",
+            "Record rt/sportmodestate, or use a bolted or hanging robot.",
         )
     return held
 
@@ -94,17 +94,17 @@ def simulate_commands(
 ) -> Simulated:
     """Simulate the robot under the recorded commands.
 
-    Each window begins with the measured state, and has the commands at the robot's ticks at which
-    they would reach the embedded simulator, plus the command delay of the parameters.
+    Each window begins with the measured state. Commands take effect at the robot's ticks at which
+    the embedded simulator would receive them, plus the command delay of the parameters.
 
     Args:
-        recorded: what was recorded.
-        robot: with its parameters.
+        recorded: the recording.
+        robot: robot with its parameters.
         support: see `world_support`.
-        window: s.
+        window: length of a window, s.
         self_collision: links collide with each other.
         repeats: simulate some windows twice, for `Simulated.spread`.
-        most: s that are simulated, by windows that are evenly spread over the recording.
+        most: longest simulated time, s; windows are evenly spread over the recording.
 
     Raises:
         SimError: the state can no longer be integrated.
@@ -131,7 +131,7 @@ def simulate_commands(
 
 
 class _Run:
-    """A simulated robot, and what it is given in each step."""
+    """A simulated robot, and its input in each step."""
 
     def __init__(self, recorded: Recorded, world: World, delay: float, support: Support) -> None:
         self._recorded, self._world = recorded, world
@@ -140,14 +140,14 @@ class _Run:
         self._driven = support == "follow"
 
     def window(self, part: slice, state: Floats) -> tuple[Floats, Floats]:
-        """What is measured at the W states of a window.
+        """Simulate the W states of a window.
 
         Args:
-            part: of the recording.
-            state: (2, 29) positions and velocities that it begins with.
+            part: window of the recording.
+            state: (2, 29) initial positions and velocities.
 
         Returns:
-            (W, 3, 29) positions, velocities and torques; (W, 10) what the pelvis's IMU measures.
+            (W, 3, 29) positions, velocities and torques; (W, 10) measurements of the pelvis's IMU.
         """
         recorded, world = self._recorded, self._world
         command = off = MotorCommand.off()
@@ -170,9 +170,9 @@ class _Run:
 
 
 def _roots(recorded: Recorded, support: Support, world: World) -> Callable[[int], Root]:
-    """A function from the number of a state to the pose of the base."""
+    """A function from the index of a state to the pose of the base."""
     if support == "bolted":
-        # The yaw of an IMU, and the place, mean nothing to a robot that is bolted.
+        # Yaw and place have no effect on a bolted robot.
         quat = recorded.quat_wxyz.mean(axis=0)
         tilt = _without_yaw(quat / np.linalg.norm(quat))
         root = Root(np.zeros(3), tilt, np.zeros(3), np.zeros(3), playing=True)
@@ -185,15 +185,15 @@ def _roots(recorded: Recorded, support: Support, world: World) -> Callable[[int]
 
 
 def _without_yaw(quat: Floats) -> Floats:
-    """The attitude (4,) with the yaw taken out."""
+    """The attitude (4,) without its yaw."""
     return quat_mul(quat_conj(quat_from_yaw(yaw_of(quat))), quat)
 
 
 def _first_state(recorded: Recorded, k: int, noise: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Joint positions and velocities (29,) with which a window begins.
+    """Joint positions and velocities (29,) at the start of a window.
 
-    Of a session with noise those of a cubic through the samples around it, positions and velocities
-    together, each weighted by its noise.
+    For a session with noise they are from a cubic fit to the positions and velocities of the
+    samples around it, each weighted by its noise.
     """
     measured = np.stack([recorded.q[k], recorded.dq[k]])
     if noise[0] < _CLEAN[0] and noise[1] < _CLEAN[1]:

@@ -1,1 +1,1 @@
-"""Many motions at once."""
+"""Libraries: check, simulate or convert many motions."""

@@ -1,6 +1,6 @@
-"""What is computed of one motion: its rows, and with `simulate` and `convert` its files.
+"""Computes the rows of one motion, and its files for `simulate` and `convert`.
 
-`rows_of` is what every process runs. Whatever is wrong with a motion becomes its row.
+`rows_of` runs in every process. Any fault of a motion is stored in its row.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 __all__ = ["OUTPUTS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
 
 OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
-"""The directory of a library with the files that a command writes."""
+"""The library's subdirectory for the files that a command writes."""
 
-#: Settings that change nothing in a simulation: where on DDS, when on the CPU, what is recorded.
-#: Parameters count by their content, wherever their file is.
+#: Settings without effect on a simulation: DDS, scheduling and recording. Parameters are identified
+#: by their content, not by their path.
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
-#: What the robot of a picture is drawn of, a line each, by links.
+#: Links of a picture's stick figure, a line each.
 _LIMBS: Final = (
     ("left_ankle_roll_link", "left_knee_link", "left_hip_roll_link", "pelvis"),
     ("right_ankle_roll_link", "right_knee_link", "right_hip_roll_link", "pelvis"),
@@ -61,20 +61,20 @@ _LIMBS: Final = (
     ("torso_link", "right_shoulder_pitch_link", "right_elbow_link", "right_wrist_yaw_link"),
 )
 _POSES: Final = 5
-#: From the torso's origin to the top of the head, m.
+#: Height of the head's top above the torso's origin, m.
 _HEAD: Final = np.array([0.0, 0.0, 0.5])
 
 
 @dataclass(frozen=True)
 class LibraryCase:
-    """What is computed of each motion.
+    """A computation for each motion.
 
     Attributes:
         command: check, simulate or convert.
-        config: all settings; `stream.policy` is that of `simulate`.
-        support: how the pelvis is held; of `simulate`.
-        sweep: values of settings in this case, by name; they are in `config` already.
-        format: of the files of `convert`: csv, npz, mcap, or that of another program.
+        config: all settings; `stream.policy` applies to `simulate`.
+        support: how the pelvis is held in `simulate`.
+        sweep: values of swept settings, by name; `config` already has them.
+        format: file format of `convert`: csv, npz, mcap, or that of another program.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """
@@ -89,7 +89,7 @@ class LibraryCase:
 
     @property
     def variant(self) -> str:
-        """What tells the rows of one motion and one command apart."""
+        """A text that distinguishes the rows of one motion and one command."""
         values = [
             f"{name}={value:.12g}" if isinstance(value, float) else f"{name}={value}"
             for name, value in self.sweep.items()
@@ -99,7 +99,7 @@ class LibraryCase:
 
     @property
     def policy(self) -> str | None:
-        """Name of the policy that plays: of its file, or of the directory of a policy.onnx."""
+        """Name of the policy: of its file, or of the directory of a policy.onnx."""
         if self.command != "simulate" or not self.config.stream.policy:
             return None
         path = Path(self.config.stream.policy).absolute()
@@ -107,15 +107,15 @@ class LibraryCase:
 
     @cached_property
     def policy_sha256(self) -> str:
-        """Of the policy's file and of those beside it that belong to it, in hex; "" without one.
+        """SHA-256, in hex, of the policy's file and its accompanying files; "" without a policy.
 
         Raises:
-            ConfigError: it cannot be read.
+            ConfigError: a file cannot be read.
         """
         if not self.policy:
             return ""
         path = Path(self.config.stream.policy or "")
-        # Weights of its own, and what says how it was trained.
+        # External weights, and files about the training.
         beside = (*sorted(path.parent.glob(f"{escape(path.name)}.*")), path.with_suffix(".toml"))
         digest = sha256()
         for file in (path, *beside, path.with_name("deploy.yaml")):
@@ -125,7 +125,7 @@ class LibraryCase:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Equal where command, variant, settings and versions are."""
+        """A hash that is equal if command, variant, settings and versions are equal."""
         robot = _robot(self.config)
         about: dict[str, Any] = {
             "command": self.command,
@@ -143,7 +143,7 @@ class LibraryCase:
             about["settings"] = (*_limits(self.config), safety.max_tilt, safety.urdf_limits)
         elif self.command == "simulate":
             settings = self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
-            settings["stream"]["policy"] = self.policy_sha256  # wherever it is
+            settings["stream"]["policy"] = self.policy_sha256  # independent of its path
             about |= {"settings": settings, "sessions": self.sessions}
         return sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
 
@@ -152,9 +152,9 @@ class Content(NamedTuple):
     """A motion in a file.
 
     Attributes:
-        sha256: of the file, in hex; of that and of the member's name where there is one.
+        sha256: hash of the file, in hex; with a member, hash of the file's hash and its name.
         fault: why it cannot be read, or "".
-        member: the name of the motion in a file of several, or "".
+        member: name of the motion in a file of several, or "".
     """
 
     sha256: str
@@ -164,7 +164,7 @@ class Content(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """What is computed at once: one case of one motion."""
+    """A unit of work: one case of one motion."""
 
     location: str
     content: Content
@@ -172,12 +172,12 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Of the row: the same where content, variant, settings and versions are."""
+        """Key of the row, equal for equal content, variant, settings and versions."""
         return self._key(self.case.fingerprint)
 
     @property
     def key_if_broken(self) -> str:
-        """Of the row where no motion can be read from the file: of all cases of a command."""
+        """Key of the row for a file without a motion, the same for all cases of a command."""
         return self._key(self.case.command, FORMAT, __version__)
 
     def _key(self, *about: object) -> str:
@@ -185,7 +185,7 @@ class Task:
         return sha256(" ".join(map(str, of)).encode()).hexdigest()[:16]
 
     def rows(self, status: Status, reason: str | None = None) -> Rows:
-        """The rows of a motion of which nothing else is known."""
+        """Rows of a motion with only a status."""
         broken, case = status == "broken", self.case
         row = MotionRow(
             key=self.key_if_broken if broken else self.key,
@@ -222,12 +222,12 @@ def _robot(config: Config) -> G1:
 
 
 def _limits(config: Config) -> tuple[float, float]:
-    """What limits are checked with: targets per second, and the margin to position limits."""
+    """Rate of targets and margin to position limits for the limit check."""
     return config.stream.rate, config.safety.position_margin
 
 
 def contents_of(locations: list[str]) -> list[tuple[str, Content]]:
-    """The motions at some paths and URLs, with those of their files."""
+    """The motions at some paths and URLs, with their hashes."""
     return [pair for location in locations for pair in _contents_at(location)]
 
 
@@ -248,7 +248,7 @@ def _place(path: Path | str, member: str) -> str:
 
 
 def rows_of(task: Task) -> Rows:
-    """Compute the rows of one motion; what is wrong with it is in them."""
+    """Compute the rows of one motion. Any fault of the motion is stored in them."""
     begun = time.perf_counter()
     case, rows, path = task.case, task.rows("refused"), Path(task.location)
     row = rows.motion
@@ -261,7 +261,7 @@ def rows_of(task: Task) -> Rows:
             row.picture = picture(motion, _robot(case.config))
             _COMPUTE[case.command](motion, case, rows)
         row.status = "ok"
-    except RecordingError as error:  # a file of ours cannot be written now
+    except RecordingError as error:  # an output file cannot be written
         row.status, row.reason = "error", error.cause
     except G1StreamError as error:
         if row.frames is None:
@@ -269,8 +269,8 @@ def rows_of(task: Task) -> Rows:
         row = rows.motion
         row.reason = _without_name(error.cause, path)
     except MemoryError:
-        row.status, row.reason = "huge", "It takes more memory than --memory-limit."
-    except Exception as error:  # a fault of ours ends no other motion
+        row.status, row.reason = "huge", "It needs more memory than --memory-limit."
+    except Exception as error:  # a bug must not stop the other motions
         row.status, row.reason = "error", f"{type(error).__name__}: {error}"
     row.seconds = time.perf_counter() - begun
     row.memory = _resident() / 1e6
@@ -280,18 +280,18 @@ def rows_of(task: Task) -> Rows:
 def _load(path: Path) -> Motion:
     try:
         return load_motion(path)
-    except RecordingError as error:  # a session of others is damaged: no file of ours
+    except RecordingError as error:  # a damaged session as input, not an output file
         raise MotionError(error.cause, error.remedy) from error
 
 
 def _without_name(cause: str, path: Path) -> str:
-    """A cause without the path of the file, which the row has, or that of its copy."""
+    """A cause without the path of the file or of its copy, because the row has the path."""
     shorter = cause.removeprefix(path.name).lstrip(":, ")
     return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
 
 
 def _resident() -> int:
-    """Bytes of memory of this process."""
+    """Resident memory of this process, bytes."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
@@ -347,7 +347,7 @@ def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     from g1stream.app.rollout import rollout
 
     row, config = rows.motion, case.config
-    if not case.sessions:  # nobody looks at it
+    if not case.sessions:  # the session is not kept
         record = config.record.model_copy(update={"channels": "raw"})
         config = config.model_copy(update={"record": record})
     session = rollout(motion, support=case.support, config=config)
@@ -410,7 +410,7 @@ def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
 
 
 def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
-    """Where the file of a row goes: motions of one name have different keys."""
+    """Path of a row's file. Motions with the same name have different keys."""
     directory = case.out / OUTPUTS[case.command]
     directory.mkdir(parents=True, exist_ok=True)
     return directory / f"{motion.name}-{key[:8]}{suffix}"
@@ -420,9 +420,9 @@ _COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}
 
 
 def picture(motion: Motion, robot: G1) -> str:
-    """Five poses of a motion as stick figures: the path of an SVG 100 wide and 30 high.
+    """Five poses of a motion as stick figures: an SVG path 100 wide and 30 high.
 
-    Each is seen from ahead and to the right of its own heading, 45 degrees between the two.
+    The view of each pose is from the front right, at 45 degrees to its own heading.
     """
     frames = np.linspace(0, motion.n_frames - 1, _POSES).round().astype(int)
     root_quat = motion.root_quat_wxyz[frames]

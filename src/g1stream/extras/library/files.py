@@ -1,4 +1,4 @@
-"""Motion files below paths and URLs, and what they contain; URLs are those of fsspec."""
+"""Motion files below paths and URLs, and their content. URLs are those of fsspec."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
 
 __all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "motions_at", "stem"]
 
-#: Of files that may have several motions.
+#: Suffixes of files that may have several motions.
 _SEVERAL: Final = {".pkl", ".pickle", ".joblib", ".pt", ".pth", ".motion"}
-#: Of the files in a directory that may be motions; a file that is named is read whatever its name.
+#: Suffixes of motion files in a directory. A file that is given itself is read with any suffix.
 _SUFFIXES: Final = _SEVERAL | {".csv", ".npz", ".npy", ".mcap", ".db3"}
-#: A directory with this file is a recording in parts, or a bag of ROS 2: one motion, as is one of
-#: SONIC.
+#: A directory with this file is a recording in parts, or a bag of ROS 2, and counts as one motion.
+#: So does a directory of SONIC.
 _BAG: Final = "metadata.yaml"
 LIBRARY: Final = ".g1stream-library"
-"""The file in each library's directory; its tables and what it wrote are no motions to look at."""
+"""The file in each library's directory. Libraries are not searched for motions."""
 
 
 def find_motions(places: Sequence[str]) -> list[str]:
-    """The motion files below directories, files and URLs, in order, each location once.
+    """Find the motion files below directories, files and URLs, in order and without duplicates.
 
-    A directory stands for the files below it whose names end like those of motion files, and for
-    its recordings in parts and directories of SONIC; libraries and hidden files and directories are
-    left out, links to directories not followed.
+    A directory stands for the files below it with suffixes of motion files, and for its recordings
+    in parts and directories of SONIC. Libraries and hidden files and directories are skipped, and
+    links to directories are not followed.
 
     Args:
         places: paths, one in a file of several as `library.pkl:walk`, or URLs such as
@@ -47,7 +47,7 @@ def find_motions(places: Sequence[str]) -> list[str]:
         Absolute paths, and URLs.
 
     Raises:
-        ConfigError: there is no such place, or the package for a kind of URL is not installed.
+        ConfigError: a place does not exist, or the package for a kind of URL is not installed.
     """
     found: list[str] = []
     for place in places:
@@ -57,9 +57,9 @@ def find_motions(places: Sequence[str]) -> list[str]:
 
 def _below(place: str) -> Iterator[str]:
     path = Path(place).absolute()
-    if not path.exists() and not find_motion(path).path.is_file():  # of one in a file of several
+    if not path.exists() and not find_motion(path).path.is_file():  # path of a file's member
         raise ConfigError(
-            f"There is no {place}.", "Give motion files, directories with some, or URLs."
+            f"There is no {place}.", "Give motion files, directories with motion files, or URLs."
         )
     if not path.is_dir():
         yield str(path)
@@ -93,30 +93,30 @@ def _below_url(url: str) -> list[str]:
         if _motions_among([root]) and files.isfile(root):
             return [url]
         if not files.exists(root):
-            raise FileNotFoundError("there is nothing")
+            raise FileNotFoundError("it does not exist")
         _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
         found = _motions_among(files.find(root))
-        if not found and files.isfile(root):  # a web server's directory is a file, too
+        if not found and files.isfile(root):  # a directory on a web server is a file, too
             return [url]
         return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]
-    except ImportError as error:  # s3 needs s3fs, http aiohttp, and so on
+    except ImportError as error:  # for example s3fs for s3, aiohttp for http
         raise ConfigError(f"{url} cannot be read: {error}.", "Install that package.") from error
-    except Exception as error:  # what a file system raises is its own
+    except Exception as error:  # file systems raise their own errors
         raise ConfigError(
             f"{url} cannot be listed: {type(error).__name__}: {error}.",
-            "Check the URL, and whether this machine may read there.",
+            "Check the URL, and whether this machine may read it.",
         ) from error
 
 
 def motions_at(location: str) -> tuple[str, tuple[str, ...]]:
-    """The file at a path or URL, and the names of its motions where it has several.
+    """The file at a path or URL, and the names of its motions if it has several.
 
-    A path may end in the name of one of them: `library.pkl:walk`.
+    A path may end with the name of one of them: `library.pkl:walk`.
     """
     if "://" not in location and (file := find_motion(location)).member:
         return str(file.path), (file.member,)
     if _path(location).suffix.lower() in _SEVERAL:
-        with suppress(G1StreamError), local_copy(location) as path:  # who reads it finds the fault
+        with suppress(G1StreamError), local_copy(location) as path:  # reported when it is read
             names = motions_in(find_motion(path))
             return location, names if len(names) > 1 else ()
     return location, ()
@@ -128,12 +128,12 @@ def stem(location: str) -> str:
 
 
 def _path(location: str) -> PurePosixPath:
-    """The path in a URL, which may be followed by that of an archive: `zip://a.npz::file:///b`."""
+    """The path in a URL, which an archive's URL may follow: `zip://a.npz::file:///b`."""
     return PurePosixPath(location.partition("::")[0] if "://" in location else location)
 
 
 def content_hash(location: str) -> str:
-    """SHA-256 of what is at a path or URL, in hex; of a directory, of its files in order.
+    """SHA-256 of the content at a path or URL, in hex; for a directory, of its files in order.
 
     Raises:
         MotionError: it cannot be read, is too large, or is not a file.
@@ -152,7 +152,7 @@ def content_hash(location: str) -> str:
 
 @contextmanager
 def local_copy(location: str) -> Iterator[Path]:
-    """A path at which the motion can be read: its own or, of a URL, that of a temporary copy.
+    """Local path of a motion: its own, or for a URL that of a temporary copy.
 
     Raises:
         MotionError: it cannot be read or is too large.
@@ -167,14 +167,14 @@ def local_copy(location: str) -> Iterator[Path]:
         copy = Path(directory, _path(location).name)
         with output_errors(copy), copy.open("wb") as out, _opened(location) as file:
             while block := file.read(2**20):
-                with output_errors(copy):  # no fault of the URL
+                with output_errors(copy):  # not an error of the URL
                     out.write(block)
         yield copy
 
 
 @contextmanager
 def _opened(location: str) -> Iterator[Any]:
-    """A regular file of bounded size, or one at a URL."""
+    """Open a regular file with a limited size, or a URL."""
     try:
         if "://" in location:
             import fsspec
@@ -190,10 +190,10 @@ def _opened(location: str) -> Iterator[Any]:
             raise OSError(f"it has more than {MOTION_FILE / 2**20:g} MiB")
         with opened(path, "rb") as file:
             yield file
-    except (MemoryError, RecordingError):  # of who reads it
+    except (MemoryError, RecordingError):  # raised by the caller's code
         raise
-    except Exception as error:  # what a file system raises is its own
+    except Exception as error:  # file systems raise their own errors
         raise MotionError(
             f"{location} cannot be read: {getattr(error, 'strerror', None) or error}.",
-            "Check that it is there and that you may read it.",
+            "Check that it exists and that you may read it.",
         ) from error

@@ -1,4 +1,4 @@
-"""`g1stream library`: many motions at once."""
+"""`g1stream library`: checks, simulates or converts many motions."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ if TYPE_CHECKING:
 
 __all__ = ["Library", "swept"]
 
-#: Motions that are named where several failed.
+#: Number of failed motions that are listed.
 _NAMED: Final = 5
-#: Between two lines of progress where there is no terminal, s.
+#: Time between progress lines without a terminal, s.
 _IN_PIPE_S: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Library(SettingsCommand, QuietFlag):
-    """Checks, simulates or converts all motion files in directories, copies of a file once.
+    """Checks, simulates or converts all motion files in directories; copies of a file once.
 
-    check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
-    faster than real time, once for each support and each value of a sweep. convert: writes motion
-    files, also those that other programs train from, or MCAP files for viewers.
+    `check` computes the results of `g1stream physics`. `simulate` plays each motion on a simulated
+    robot, faster than real time, once for each support and each value of a sweep. `convert` writes
+    motion files, including training files for other programs, or MCAP files for viewers.
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
-    joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
-    its reason. The same command continues where it was ended, and computes again what other
-    settings or versions change. docs/library.md has the columns; a condition names one that is a
-    number or a yes (1) or no (0), or `ok`, which is 1 for a row whose status is ok.
+    joints, and index.html. A file that is broken, or needs too much time or memory, has a row with
+    the reason. If the command is interrupted, run it again to continue. It recomputes rows after
+    changes of settings or versions. docs/library.md lists the columns. A condition names a column
+    with numbers or with yes (1) and no (0), or `ok`, which is 1 for a row whose status is ok.
 
     Examples:
       g1stream library check motions -o library
@@ -69,16 +69,16 @@ class Library(SettingsCommand, QuietFlag):
       g1stream library check motions --cluster tcp://head:8786
 
     Exit codes:
-      0        computed; that a motion failed is a result, too
-      1        a condition of --fail-if holds, or cannot be told, for a row;
+      0        computed, even if motions failed
+      1        a condition of --fail-if holds, or is unknown, for a row;
                or rows are missing
       2        bad input
-      128 + n  ended by signal n; what was computed is kept
+      128 + n  ended by signal n; results so far are kept
     """
 
     action: Literal["check", "simulate", "convert"] = argument(
         "check limits and physics of the motions, simulate a robot that plays them, or convert "
-        "their files. Flags that begin with an action go with that one only.",
+        "their files. Flags that begin with an action only apply to that action.",
         "ACTION",
     )
     places: tuple[str, ...] = argument(
@@ -95,21 +95,21 @@ class Library(SettingsCommand, QuietFlag):
     )
     sweep: list[str] = flag(
         (),
-        "simulate: once with each value of a setting, such as stream.rate=250,500; of gains.kp and "
-        "gains.kd, with so many times the gains. May be repeated: all combinations.",
+        "simulate: run with each value of a setting, such as stream.rate=250,500. Values of "
+        "gains.kp and gains.kd are factors of the gains. May be repeated, for all combinations.",
         "NAME=A,B",
         shown="none",
     )
     policy: list[str] = flag(
         (),
         "simulate: ONNX file of a learned policy that plays on free feet (extra `policy`). May be "
-        "repeated: once with each.",
+        "repeated, to run with each.",
         "FILE",
         shown="none",
     )
-    sessions: bool = flag(False, "simulate: keep each session, and its report.")
+    sessions: bool = flag(False, "simulate: keep each session and its report.")
     to: Literal["npz", "csv", "mcap", MotionFormat] = flag(
-        "npz", "convert: format of the files; beyondmimic and the like are for other programs."
+        "npz", "convert: format of the files; beyondmimic and others are for other programs."
     )
     workers: int | None = flag(
         None, "Processes on this machine.", "N", shown="CPUs", gt=0, advanced=True
@@ -124,12 +124,12 @@ class Library(SettingsCommand, QuietFlag):
     memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0, advanced=True)
     fail_if: list[str] = flag(
         (),
-        "Exit code 1 where this holds for a row: NAME OP NUMBER, OP one of < <= > >=. May be "
+        "Exit code 1 if this holds for a row: NAME OP NUMBER, OP one of < <= > >=. May be "
         "repeated.",
         "CONDITION",
         shown="none",
     )
-    json: bool = flag(False, "Print a line of JSON for each row that is computed.")
+    json: bool = flag(False, "Print a line of JSON for each computed row.")
 
     def run(self) -> int:
         """Compute, and return the exit code."""
@@ -139,7 +139,7 @@ class Library(SettingsCommand, QuietFlag):
         from g1stream.extras.library.table import CONDITION_NAMES, newest_motions
 
         self._check_flags()
-        # Refused now, and not when all is computed.
+        # Checked before the long computation.
         conditions = [FailIf.parse(text, CONDITION_NAMES) for text in self.fail_if]
         cases = self._cases()
         run, reasons = LibraryRun(), list[str]()
@@ -180,11 +180,9 @@ class Library(SettingsCommand, QuietFlag):
         }
         for name, (given, action) in only.items():
             if given and self.action != action:
-                raise ConfigError(
-                    f"{name} has no effect on library {self.action}.", "Leave it out."
-                )
+                raise ConfigError(f"{name} has no effect on library {self.action}.", "Remove it.")
         if self.workers and self.cluster:
-            raise ConfigError("--workers and --cluster exclude each other.", "Give one of them.")
+            raise ConfigError("--workers and --cluster cannot be combined.", "Remove one of them.")
 
     def _cases(self) -> list[LibraryCase]:
         from g1stream.extras.library.compute import LibraryCase
@@ -195,13 +193,13 @@ class Library(SettingsCommand, QuietFlag):
         if self.action == "convert":
             return [LibraryCase("convert", out, config, format=self.to)]
         if any(text.startswith("stream.policy=") for text in self.sweep):
-            raise ConfigError("--sweep has no policies.", "Give --policy for each of them.")
+            raise ConfigError("--sweep cannot have policies.", "Give --policy for each of them.")
         policies = self.policy or filter(None, [config.stream.policy])
         files = list(dict.fromkeys(str(Path(one).absolute()) for one in policies))
         if files and self.support not in (None, "free"):
             raise ConfigError(
-                f"--support {self.support} with a policy, which stands on free feet.",
-                "Leave --support out.",
+                f"--support {self.support} does not fit a policy, which needs free feet.",
+                "Remove --support.",
             )
         asked = dict.fromkeys(
             (self.support or ("free" if files else config.sim.support)).split(",")
@@ -219,7 +217,7 @@ class Library(SettingsCommand, QuietFlag):
             for one in played
             for values, settings in swept(one, self.sweep)
         ]
-        # A policy that cannot be read is named here, before anything is computed.
+        # Unreadable policies are reported here, before the computation.
         return list({case.variant: case for case in cases}.values())
 
 
@@ -228,13 +226,13 @@ def _with_policy(config: Config, file: str) -> Config:
 
 
 def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -> tuple[bool, str]:
-    """Whether a condition fails the run, and that in words."""
+    """Whether a condition fails the run, and the verdict in words."""
     from g1stream.extras.library.table import condition_value
 
     truths = [condition.holds(condition_value(row, condition.name)) for row in rows]
     held = {
         text: [row for row, truth in zip(rows, truths, strict=True) if truth is one]
-        for text, one in (("holds", True), ("cannot be told", None))
+        for text, one in (("holds", True), ("is unknown", None))
     }
     failed = any(held.values())
     verdict = ", and ".join(
@@ -243,7 +241,7 @@ def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -
         if of
     )
     label = "FAILED: " if failed else "passed: " if complete else "not decided: "
-    there = "" if complete else f" of the {counted(len(rows), 'row')} that are there"
+    there = "" if complete else f" of the {counted(len(rows), 'row')} so far"
     verdict = verdict or f"holds for no row{there}"
     return failed, labelled(label, f"{condition.text} {verdict}")
 
@@ -253,14 +251,14 @@ def _print_row(row: MotionRow) -> None:
 
 
 def _about(run: LibraryRun, out: Path) -> list[str]:
-    """What was found, and what became of it."""
+    """A summary of the run."""
     from g1stream.extras.library.page import PAGE
 
     motions = counted(run.files - run.copies, "motion")
-    copies = f", {run.copies} the same as another" if run.copies else ""
+    copies = f", {run.copies} duplicates" if run.copies else ""
     known = f", {run.known} known before" if run.known else ""
     missing = run.total - run.known - run.done
-    more = f", {missing} missing: the same command computes them" if missing else ""
+    more = f", {missing} missing (run the same command again)" if missing else ""
     return [
         f"{out}: {counted(run.total, 'row')} of {motions}{copies}",
         f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",
@@ -269,7 +267,7 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
 
 
 def _results(rows: list[dict[str, Any]]) -> list[str]:
-    """What can be played with each support, or how closely each variant was followed."""
+    """What can be played with each support, or the tracking error of each variant."""
     from g1stream.extras.physics.result import Playable
 
     ok = [row for row in rows if row["status"] == "ok"]
@@ -293,7 +291,7 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
     return ["", *table(lines, left=(0, 5))]
 
 
-#: What papers tell of policies: head, column, scale, digits.
+#: Metrics of policies in papers: heading, column, scale, digits.
 _OF_POLICIES: Final = (
     ("s survived", "survived", 1.0, 1),
     ("RMSE rad", "rmse", 1.0, 4),
@@ -311,7 +309,7 @@ def _is_known(value: Any) -> bool:
 
 
 def _policy_lines(rows: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    """Of each policy and setting how many rows succeeded, and means over its rows."""
+    """Number of successful rows by policy and setting, and means over the rows."""
     from g1stream.extras.library.table import MotionRow
 
     files = {(row["policy"], row["policy_sha256"]) for row in rows}
@@ -337,7 +335,7 @@ def _policy_lines(rows: list[dict[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
-    """What failed, and why; some of each kind. And what a file that was written lacks."""
+    """Failures with reasons, some of each kind, and notes on written files."""
     from g1stream.motion.motion import DEFAULT_FPS
 
     failed = [row for row in rows if row["status"] != "ok"]
@@ -351,8 +349,9 @@ def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
     csv = [row for row in rows if row["variant"] == "csv" and row["status"] == "ok"]
     if rated := [row for row in csv if row["fps"] != DEFAULT_FPS]:
         lines.append(
-            f"CSV files keep no rate: read {counted(len(rated), 'file')} of these with --fps, such "
-            f"as {rated[0]['output']} with --fps {rated[0]['fps']:g}; column `fps` has the others'"
+            f"CSV files have no frame rate: read {counted(len(rated), 'file')} of these with "
+            f"--fps, such as {rated[0]['output']} with --fps {rated[0]['fps']:g}; column `fps` "
+            "has the rates of the others"
         )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]
@@ -363,29 +362,29 @@ _GAINS: Final = ("gains.kp", "gains.kd")
 
 
 def swept(config: Config, sweeps: Sequence[str]) -> Iterator[tuple[dict[str, float | str], Config]]:
-    """Every combination of the values of a sweep, and the settings with them.
+    """All combinations of swept values, and the settings with them.
 
     Args:
         config: the other settings.
-        sweeps: such as `stream.rate=250,500`; the values of `gains.kp` and `gains.kd` are factors
-            of the gains.
+        sweeps: such as `stream.rate=250,500`; values of `gains.kp` and `gains.kd` are factors of
+            the gains.
 
     Raises:
-        ConfigError: a sweep names what is no setting, one twice, or a value that does not fit.
+        ConfigError: a name is not a setting or is swept twice, or a value does not fit.
     """
     values: dict[str, list[float | str]] = {}
     for text in sweeps:
         name, _, given = text.partition("=")
         if name not in settings() or name in values:
-            reason = "is swept twice" if name in values else "is no setting"
+            reason = "is swept twice" if name in values else "is not a setting"
             raise ConfigError(
                 f"{name} in --sweep {text} {reason}.",
-                "Name a setting of configs/sim.toml, once: --sweep stream.rate=250,500.",
+                "Give each setting of configs/sim.toml once: --sweep stream.rate=250,500.",
             )
         values[name] = list(dict.fromkeys(_value(one.strip()) for one in given.split(",")))
         if "" in values[name]:
             raise ConfigError(
-                f"--sweep {text} lacks a value.", f"Give some: --sweep {name}=0.5,1,2."
+                f"--sweep {text} lacks a value.", f"Give values: --sweep {name}=0.5,1,2."
             )
     for combination in product(*values.values()):
         chosen = dict(zip(values, combination, strict=True))

@@ -1,4 +1,4 @@
-"""The page of a library: its motions as a table to sort and filter, worst first."""
+"""The HTML page of a library: a table of motions to sort and filter, worst first."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ __all__ = ["PAGE", "write_page"]
 
 PAGE: Final = "index.html"
 
-#: Where the page has the data, which are written in pieces of so many rows.
+#: Placeholder for the data in the page, and number of rows per piece.
 _DATA: Final = "\0"
 _ROWS: Final = 500
-#: Before the values of a sweep, and after them. The page has a reason in place of what is behind.
+#: Columns before and after the values of a sweep. The page shows a reason instead of the latter.
 _FIRST: Final = ["picture", "name", "status", "support", "policy", "variant"]
 _THEN: Final = ["reason", "rmse", "report", "output"]
 _LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
-#: The same for many rows, or told by another column.
+#: Columns that are equal for many rows, or redundant.
 _LAST: Final = ["frames", "fps", "path", "policy_sha256", "seconds", "memory"]
 
 
 def write_page(directory: Path) -> Path:
-    """Write the page of a library, which needs no network.
+    """Write the page of a library. It needs no network.
 
     Args:
-        directory: of the library.
+        directory: the library's directory.
 
     Raises:
         RecordingError: there is no library, or the page cannot be written.
@@ -63,12 +63,12 @@ def write_page(directory: Path) -> Path:
 
 
 def _shown(motions: pandas.DataFrame) -> Iterator[str]:
-    """JSON of the columns that have values and of the rows, worst first, in pieces."""
+    """JSON of the non-empty columns and of the rows, worst first, in pieces."""
     motions = motions.assign(name=_distinct(motions["name"], motions["path"]))
     sweep = [name for name in motions if name not in MotionRow.model_fields]
     motions = motions.iloc[(-_badness(motions)).argsort(kind="stable")]
     told = motions.replace("", None).notna().any()
-    told["variant"] &= not told["support"]  # and values of a sweep, which have their columns
+    told["variant"] &= not told["support"]  # redundant, as are values of a sweep
     used = [name for name in motions if name not in _LEFT_OUT and told[name]]
     ahead = [*_FIRST, *sweep, *_THEN]
     names = [name for name in ahead if name in used]
@@ -92,7 +92,7 @@ def _shown(motions: pandas.DataFrame) -> Iterator[str]:
 
 
 def _distinct(names: Sequence[str], paths: Sequence[str]) -> list[str]:
-    """Names, with as much of the path before those of several files as tells them apart."""
+    """Names, preceded by the part of the path that distinguishes files with the same name."""
     files: dict[str, set[str]] = {}
     for name, path in zip(names, paths, strict=True):
         files.setdefault(name, set()).add(path)
@@ -111,7 +111,7 @@ def _end(path: str, others: set[str]) -> str:
 
 
 def _badness(motions: pandas.DataFrame) -> Any:
-    """(N,) numbers: what failed has the highest, then what cannot be played or followed closely."""
+    """(N,) sort keys: failed rows highest, then those that cannot be played or tracked well."""
     forbidden = sum((motions[support] == "no").astype(float) for support in get_args(Support))
     failed = (motions["status"] != "ok").astype(float)
     detail = motions["rmse"].fillna(motions["max_collision"] / 1e3).fillna(0.0).clip(0.0, 0.99)

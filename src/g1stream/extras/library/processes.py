@@ -1,7 +1,7 @@
-"""Calls in processes of their own, with limits of time and memory.
+"""Function calls in child processes, with limits of time and memory.
 
-Whatever a motion file makes of its reader, the program that asked goes on. Each thread that calls
-`limited` has one process, which is kept for the next call and replaced when it ended.
+A motion file that crashes its reader does not stop the program. Each thread that calls `limited`
+has one process, which is kept for the next call and replaced when it has ended.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ class TooSlowError(G1StreamError):
 
 
 class CrashedError(G1StreamError):
-    """The process of a call ended, twice."""
+    """The process of a call ended twice."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a call may take.
+    """Limits of a call.
 
     Attributes:
-        seconds: of time.
-        megabytes: of memory, 10^6 bytes, beyond what the process has at first, some 200; with more
-            the call gets a `MemoryError`.
+        seconds: time limit.
+        megabytes: memory limit, 10^6 bytes, in addition to about 200 that the process has at
+            first. Beyond it the call gets a `MemoryError`.
     """
 
     seconds: float = 600.0
@@ -56,17 +56,16 @@ class Limits:
 def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
     """Call a function in the process of this thread.
 
-    Where the process ends, because of the call or because somebody killed it, the call is made once
-    more.
+    If the process ends, because of the call or because it was killed, the call is repeated once.
 
     Args:
-        limits: of time and memory.
-        function: of a module; it, its arguments and what it returns are pickled.
-        args: of the function.
+        limits: limits of time and memory.
+        function: function of a module. It, its arguments and its result are pickled.
+        args: arguments of the function.
 
     Raises:
-        TooSlowError: it took longer than it may.
-        CrashedError: its process ended, twice.
+        TooSlowError: it exceeded the time limit.
+        CrashedError: its process ended twice.
         CancelledError: `end_processes` was called meanwhile.
         ConfigError: the extra `library` is not installed.
     """
@@ -86,14 +85,14 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
         except RuntimeError:
             if pool.active or pool not in _POOLS:
                 raise
-            _end(pool)  # its process was killed while it started, which breaks a pool for good
+            _end(pool)  # a process killed during its start breaks a pool permanently
             continue
         finally:
             _RUNNING.discard(future)
         return result
     raise CrashedError(
         "The process that computed it crashed, twice.",
-        "Read the file with `g1stream motion`, and report what happens.",
+        "Read the file with `g1stream motion`, and report the result.",
     )
 
 
@@ -103,14 +102,14 @@ _RUNNING: Final[set[Any]] = set()
 
 
 def _pool_of_thread(limits: Limits) -> Any:
-    """The pool of one process that this thread has; a new one for other limits."""
+    """The thread's pool of one process; a new one for other limits."""
     from pebble import ProcessPool
 
     pool, made_for = getattr(_THREAD, "pool", (None, None))
     if pool is None or pool not in _POOLS or made_for != limits:
         if pool in _POOLS:
             _end(pool)
-        # Our matrices are small; a pool of BLAS threads would take the time of other processes.
+        # The matrices are small; a pool of BLAS threads would take time from other processes.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         megabytes = (limits.megabytes,)
         pool = ProcessPool(1, initializer=_begin, initargs=megabytes, context=get_context("spawn"))
@@ -126,7 +125,7 @@ def _end(pool: Any) -> None:
 
 
 def end_processes() -> None:
-    """End the processes of all threads; what they compute is lost."""
+    """End the processes of all threads; their computations are lost."""
     for future in list(_RUNNING):
         future.cancel()
     for pool in list(_POOLS):
@@ -134,13 +133,13 @@ def end_processes() -> None:
 
 
 def _begin(megabytes: float) -> None:
-    """What a process does first."""
+    """Initialise a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the parent
-    os.dup2(2, 1)  # what a library prints must not get into our --json
+    os.dup2(2, 1)  # output of other libraries must not mix with --json
     threading.Thread(target=_end_with_parent, daemon=True).start()
     for module in ("g1stream.extras.library.compute", "mujoco", "scipy.interpolate"):
-        import_module(module)  # now, and not in the time and memory of the first call
-    # As RLIMIT_DATA counts it (proc(5), statm): private memory that can be written.
+        import_module(module)  # not within the time and memory limits of the first call
+    # In the unit of RLIMIT_DATA (proc(5), statm): private writable memory.
     own = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
     most = own + round(megabytes * 1e6)
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))

@@ -1,4 +1,4 @@
-"""A library is computed: what is found, what is known already, and what becomes of the rest."""
+"""Computes a library: finds motions, skips known rows, computes and writes the others."""
 
 from __future__ import annotations
 
@@ -41,25 +41,25 @@ if TYPE_CHECKING:
 
 __all__ = ["LibraryRun", "completed", "open_executor", "run_library"]
 
-#: Files whose content is looked at in one call.
+#: Number of files that are hashed in one call.
 _BATCH: Final = 32
 
 
 @dataclass
 class LibraryRun:
-    """How a run over a library goes, while it goes and afterwards.
+    """State of a run over a library, during and after it.
 
     Attributes:
-        files: motion files that were found.
-        copies: of these, those that are the same as another.
-        keys: of the rows that are asked for.
-        known: of these, those that were there already.
-        done: that were computed.
-        failed: of these, those whose motion could not be read, or not be played so.
-        hashed: files whose content was looked at.
-        lost: why something was not computed, by location: its worker or the scheduler ended.
-        computing: whether it is known what is to be computed.
-        elapsed: s of computing.
+        files: number of motion files.
+        copies: number of files that are the same as another.
+        keys: keys of the requested rows.
+        known: number of requested rows that existed before.
+        done: number of computed rows.
+        failed: number of computed rows whose motion could not be read or played.
+        hashed: number of hashed files.
+        lost: reason by location for what was not computed: its worker or the scheduler ended.
+        computing: whether it is known what must be computed.
+        elapsed: time of computing, s.
     """
 
     files: int = 0
@@ -75,16 +75,16 @@ class LibraryRun:
 
     @property
     def total(self) -> int:
-        """How many rows are asked for."""
+        """Number of requested rows."""
         return len(self.keys)
 
     @property
     def complete(self) -> bool:
-        """Whether all rows that are asked for are there."""
+        """Whether all requested rows exist."""
         return self.computing and not self.lost and self.known + self.done == self.total
 
     def status(self) -> tuple[float | None, str]:
-        """What share is done, 0 to 1, and a line of text."""
+        """Fraction done, 0 to 1, and a line of text."""
         if not self.computing:
             return None, f"reading {self.hashed} of {counted(self.files, 'file')}"
         to_do = self.total - self.known
@@ -115,25 +115,25 @@ def run_library(
     stop: Callable[[], bool] = lambda: False,
     warn: Callable[[str], None] = lambda text: None,
 ) -> LibraryRun:
-    """Compute the rows of all motions below some places, write them as they come, then a page.
+    """Compute the rows of all motions below some places, write them continuously, then a page.
 
-    Rows that are there already, of the same content, settings and versions, are not computed
-    again. Rows that were written stay, however the run ends: the same call goes on there. A script
-    that calls this needs `if __name__ == "__main__":`, because its processes import it.
+    Existing rows with the same content, settings and versions are not computed again. Written rows
+    are kept however the run ends, and the same call continues it. A script that calls this needs
+    `if __name__ == "__main__":`, because its processes import it.
 
     Args:
         places: directories, files and URLs.
-        cases: what to compute of each motion, all with the same directory.
-        workers: processes on this machine; one for each CPU if None.
+        cases: computations for each motion, all with the same directory.
+        workers: number of processes on this machine; one for each CPU if None.
         cluster: address of a Dask scheduler whose workers are used instead.
-        limits: of time and memory for a row; the defaults if None.
-        run: filled while it goes; a new one if None.
-        on_row: called with each row that was written.
-        stop: asked now and then; whether to end early.
-        warn: called with what keeps it waiting: a scheduler that has no workers.
+        limits: limits of time and memory for a row; the defaults if None.
+        run: state of the run, updated during it; a new one if None.
+        on_row: called with each written row.
+        stop: polled; True ends the run early.
+        warn: called with the reason for waiting, such as a scheduler without workers.
 
     Returns:
-        How it went.
+        The state of the finished run.
 
     Raises:
         ConfigError: a place does not exist, or an extra is not installed.
@@ -141,13 +141,13 @@ def run_library(
     """
     run, limits = run or LibraryRun(), limits or Limits()
     _require_apart(places, cases[0].out)
-    out = cases[0].out.absolute()  # workers on a cluster run in directories of their own
+    out = cases[0].out.absolute()  # workers on a cluster have other working directories
     cases = [replace(case, out=out) for case in cases]
     locations = find_motions(places)
     if not locations:
         raise ConfigError(
             f"There are no motion files below {', '.join(places)}.",
-            "docs/formats.md says which files are motions.",
+            "docs/formats.md lists the supported motion files.",
         )
     run.files = len(locations)
     with (
@@ -176,12 +176,12 @@ def run_library(
 
 
 def _require_apart(places: Sequence[str], out: Path) -> None:
-    """A library's directory is not searched for motions, so that it must not hold them."""
+    """Refuse a library's directory that contains motions, because it is not searched for them."""
     for place in places:
         path = Path(place).resolve()
         if "://" not in place and path.exists() and out.resolve() in (path, *path.parents):
             raise ConfigError(
-                f"The library {out} would hold the motions in {place}, and hide them.",
+                f"The library {out} would contain the motions in {place}, and hide them.",
                 "Choose another directory for the library.",
             )
 
@@ -189,7 +189,7 @@ def _require_apart(places: Sequence[str], out: Path) -> None:
 def _contents(
     executor: Executor, locations: list[str], run: LibraryRun, stop: Callable[[], bool]
 ) -> Iterator[tuple[str, Content]]:
-    """What is at each location that can be told."""
+    """The content at each location that can be read."""
     batches = [locations[i : i + _BATCH] for i in range(0, len(locations), _BATCH)]
     for pairs in completed(executor, contents_of, batches, stop):
         for batch, future in pairs:
@@ -207,7 +207,7 @@ def _tasks(
     limits: str,
     run: LibraryRun,
 ) -> Iterator[Task]:
-    """What is still to be computed, each content once."""
+    """The remaining tasks, each content once."""
     seen = set()
     for location, content in sorted(contents):
         if content.sha256 in seen:
@@ -230,7 +230,7 @@ def _tasks(
 
 
 def _compute(task: Task, limits: Limits) -> Rows:
-    """Made where the task is computed, by a thread; the work is that of its process."""
+    """Compute a task's rows in a process of the calling thread."""
     try:
         rows = limited(limits, rows_of, task)
     except (TooSlowError, CrashedError) as error:
@@ -252,7 +252,7 @@ def _results(pairs: Sequence[tuple[Task, Future[Rows]]], run: LibraryRun) -> Ite
 
 
 def _fault(future: Future[Any]) -> str:
-    """Why a call came to nothing, which is for the scheduler to say; or "" where it did not."""
+    """The reason why a call failed, for reports on the scheduler; "" if it succeeded."""
     if future.cancelled():
         return "cancelled"
     error = future.exception()
@@ -262,13 +262,13 @@ def _fault(future: Future[Any]) -> str:
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Calls that are handed over and not done; a scheduler of 1,000 cores has four for each.
+#: Most pending calls; with a scheduler of 1,000 cores four for each.
 _WINDOW: Final = 4096
-#: What is done within this time is handed back together, s: to write a row alone takes 10 ms.
+#: Results within this time are returned together, s, because writing a row alone takes 10 ms.
 _TOGETHER: Final = 0.25
-#: To reach the scheduler, s.
+#: Timeout for connecting to the scheduler, s.
 _TIMEOUT: Final = 10.0
-#: Between two looks at whether to stop, s.
+#: Time between checks whether to stop, s.
 _POLL: Final = 0.2
 
 
@@ -280,13 +280,13 @@ def open_executor(
     warn: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Executor]:
-    """What calls are submitted to.
+    """Open the executor for the calls.
 
     Args:
-        workers: processes on this machine.
-        cluster: address of a Dask scheduler, such as `tcp://host:8786`, that is used instead.
-        warn: called with what keeps it waiting, and what to do.
-        stop: asked now and then; whether not to wait for workers.
+        workers: number of processes on this machine.
+        cluster: address of a Dask scheduler to use instead, such as `tcp://host:8786`.
+        warn: called with the reason for waiting, and a remedy.
+        stop: polled; True ends the wait for workers.
 
     Raises:
         ConfigError: the extra `cluster` is not installed, there is no scheduler, or its workers
@@ -303,7 +303,7 @@ def open_executor(
         threads.shutdown(wait=False, cancel_futures=True)
         joining = Thread(target=threads.shutdown)
         joining.start()
-        while joining.is_alive():  # again and again: one may just be starting
+        while joining.is_alive():  # repeatedly, because a process may just be starting
             end_processes()
             joining.join(_POLL)
 
@@ -312,30 +312,30 @@ def open_executor(
 def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool]) -> Iterator[Any]:
     distributed = import_extra("distributed", "cluster", "--cluster needs")
     try:
-        with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
+        with ThreadPoolExecutor(1) as thread:  # this thread may have a notebook's event loop
             thread.submit(asyncio.run, _connected(cluster)).result()
         client = distributed.Client(cluster, timeout=_TIMEOUT, set_as_default=False)
-    except TypeError as error:  # which it raises for TLS without certificates
+    except TypeError as error:  # raised for TLS without certificates
         raise ConfigError(
-            f"The Dask scheduler {cluster} takes TLS connections only: {error}.",
-            "Name its certificates in Dask's configuration, distributed.comm.tls.",
+            f"The Dask scheduler {cluster} only accepts TLS connections: {error}.",
+            "Set its certificates in Dask's configuration, distributed.comm.tls.",
         ) from error
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"There is no Dask scheduler at {cluster}: {error}.",
-            "Start one, `dask scheduler`, and give the address that it prints.",
+            "Start one with `dask scheduler`, and give the address that it prints.",
         ) from error
     with client:
         if not client.nthreads():
             warn(
-                f"The scheduler {cluster} has no workers: waiting for some. Start them with "
+                f"The scheduler {cluster} has no workers: waiting for workers. Start them with "
                 f"`dask worker {cluster} --no-nanny`, one for each machine."
             )
         while not client.nthreads() and not stop():
             time.sleep(_POLL)
         try:
             workers = set(client.run(_about_worker).values())
-        except Exception as error:  # it raises what the worker raised
+        except Exception as error:  # any error of the worker
             raise ConfigError(
                 f"The workers of {cluster} cannot run g1stream: {error}.",
                 "Install g1stream on each of them.",
@@ -347,14 +347,14 @@ def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool])
             )
         if any(daemon for _, daemon in workers):
             raise ConfigError(
-                f"The workers of {cluster} cannot start processes, as nannies watch over them.",
+                f"The workers of {cluster} cannot start processes because of their nannies.",
                 "Start them with `dask worker --no-nanny`, one for each machine.",
             )
         yield client
 
 
 async def _connected(cluster: str) -> None:
-    """Connect once: a Client that cannot waits 20 s when it is deleted, and prints a traceback."""
+    """Connect once. An unconnected Client waits 20 s when deleted, and prints a traceback."""
     from distributed.comm import connect
     from distributed.security import Security
 
@@ -374,13 +374,13 @@ def completed(
     items: Iterable[T],
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[list[tuple[T, Future[R]]]]:
-    """Call a function with each item; yields those that are done, some together.
+    """Call a function with each item; yields completed calls, some together.
 
     Args:
-        executor: makes the calls.
+        executor: executor of the calls.
         function: called with an item.
-        items: taken as calls are done, so that there may be many.
-        stop: asked now and then; what is not done then is not waited for.
+        items: consumed as calls are completed, so there may be many.
+        stop: polled; True ends without waiting for pending calls.
     """
     done: SimpleQueue[Future[R]] = SimpleQueue()
     left = iter(items)
@@ -413,6 +413,6 @@ def completed(
 
 
 def _has_lost_scheduler(executor: Executor) -> bool:
-    """Whether its Dask client is closed: a result that was on its way then is never set."""
+    """Whether its Dask client is closed. Pending results are then never set."""
     client = getattr(executor, "_client", None)
     return client is not None and client.status == "closed"

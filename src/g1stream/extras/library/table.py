@@ -1,11 +1,11 @@
 """The tables of a library: Parquet files that are readable while they grow.
 
-    library/motions/part-000012.parquet    one row a motion and variant
-    library/joints/part-000012.parquet     one row a joint of it
+library/motions/part-000012.parquet    a row for each motion and variant
+library/joints/part-000012.parquet     a row for each of its joints
 
-What was computed is written as soon as the last write is done, as a part of each table; the parts
-appear complete, that of the joints first. Many small parts become one. A row that was computed
-anew, as settings or versions are others, replaces the older one for who reads.
+Results are written as a new part of each table as soon as the previous write has ended. The
+parts appear complete, that of the joints first. Many small parts are merged into one. A row
+that was recomputed, because settings or versions changed, replaces the older one for readers.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ __all__ = [
 
 Command = Literal["check", "simulate", "convert"]
 Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
-"""What became of a motion: computed; no motion can be read from the file; a motion that is not
-played so; it took too much memory, or time; its process ended; or we failed."""
+"""Status of a row: ok; no readable motion in the file; the motion is refused; too much memory or
+time; its process ended; or a bug of g1stream."""
 
 
 FORMAT: Final = 3
-"""Of the tables: another number where a column changes, so that rows are computed again."""
+"""Version of the tables. It changes with the columns, so that rows are recomputed."""
 
 
 def column(description: str, unit: str = "", default: Any = None) -> Any:
@@ -64,77 +64,81 @@ def column(description: str, unit: str = "", default: Any = None) -> Any:
 
 
 class MotionRow(Record):
-    """What is known of a motion. What was not computed is None."""
+    """Results for a motion. Values that were not computed are None."""
 
-    key: str = column("of this row: content, variant, settings and versions", default=...)
-    name: str = column("of the file, without its ending", default=...)
-    path: str = column("of the file, or its URL", default=...)
-    sha256: str = column("of its content", default=...)
-    command: Command = column("that computed the row", default=...)
+    key: str = column("key of this row: content, variant, settings and versions", default=...)
+    name: str = column("name of the file, without its suffix", default=...)
+    path: str = column("path or URL of the file", default=...)
+    sha256: str = column("hash of the content", default=...)
+    command: Command = column("command that computed the row", default=...)
     variant: str = column("support, policy and values of a sweep, or the format", default="")
     support: str | None = column("how the pelvis was held")
     policy: str | None = column("name of the policy that played it")
-    policy_sha256: str | None = column("of the policy's files")
-    status: Status = column("what became of it", default="ok")
-    reason: str | None = column("why it is not ok")
-    frames: Int | None = column("of the motion")
-    fps: float | None = column("of the motion", "Hz")
-    duration: float | None = column("of the motion", "s")
+    policy_sha256: str | None = column("hash of the policy's files")
+    status: Status = column("result", default="ok")
+    reason: str | None = column("why the status is not ok")
+    frames: Int | None = column("number of frames")
+    fps: float | None = column("frame rate", "Hz")
+    duration: float | None = column("duration", "s")
 
-    bolted: Playable | None = column("whether it can be played, the pelvis bolted")
-    hanging: Playable | None = column("whether it can be played, hanging")
-    follow: Playable | None = column("whether it can be played, the pelvis following the reference")
-    free: Playable | None = column("whether it can be played, standing free")
-    feet: Playable | None = column("whether it can be played on its own feet, changed to stand")
-    causes: str | None = column("what speaks against it, by support")
-    within_limits: bool | None = column("whether it keeps the limits of position and speed")
-    looks_like: str | None = column("what a limit that is passed looks like")
-    max_speed: float | None = column("of a joint", "rad/s")
-    max_tilt: float | None = column("of the pelvis", "rad")
-    max_collision: float | None = column("depth of two links in each other", "mm")
-    max_penetration: float | None = column("depth of a foot below the floor", "mm")
-    max_skating: float | None = column("speed of a foot on the floor", "mm/s")
-    least_margin: float | None = column(
-        "from the centre of pressure to the edge of the support polygon", "mm"
+    bolted: Playable | None = column("whether it can be played with the pelvis bolted")
+    hanging: Playable | None = column("whether it can be played hanging")
+    follow: Playable | None = column(
+        "whether it can be played with the pelvis following the reference"
     )
-    supported: float | None = column("share of the frames with a foot on the floor")
-    torque_bolted: float | None = column("the largest of a joint over its limit, bolted")
-    torque_hanging: float | None = column("the largest of a joint over its limit, hanging")
-    torque_follow: float | None = column("the largest of a joint over its limit, following")
-    torque_free: float | None = column("the largest of a joint over its limit, free")
+    free: Playable | None = column("whether it can be played standing free")
+    feet: Playable | None = column("whether it can be played on its own feet, changed to stand")
+    causes: str | None = column("problems by support")
+    within_limits: bool | None = column("whether it keeps the position and speed limits")
+    looks_like: str | None = column("likely fault if a limit is exceeded")
+    max_speed: float | None = column("highest joint speed", "rad/s")
+    max_tilt: float | None = column("largest tilt of the pelvis", "rad")
+    max_collision: float | None = column("largest penetration depth of two links", "mm")
+    max_penetration: float | None = column("largest depth of a foot below the floor", "mm")
+    max_skating: float | None = column("highest speed of a foot on the floor", "mm/s")
+    least_margin: float | None = column(
+        "least distance from the centre of pressure to the edge of the support polygon", "mm"
+    )
+    supported: float | None = column("fraction of the frames with a foot on the floor")
+    torque_bolted: float | None = column("largest joint torque over its limit, bolted")
+    torque_hanging: float | None = column("largest joint torque over its limit, hanging")
+    torque_follow: float | None = column("largest joint torque over its limit, following")
+    torque_free: float | None = column("largest joint torque over its limit, free")
 
     completed: bool | None = column("whether it was played to its end")
-    ended: str | None = column("why it was not")
-    success: bool | None = column("played to its end and followed, as `session.metrics()` has it")
-    success_sonic: bool | None = column("the same within SONIC's limits; None where it is held")
-    failed_at: float | None = column("when it was beyond those limits for the first time", "s")
-    failed_link: str | None = column("the link that was")
-    progress: float | None = column("share of the motion that was played")
-    survived: float | None = column("how long it was played, to its end or to a fall", "s")
-    rmse: float | None = column("of all joints", "rad")
+    ended: str | None = column("why it was not played to its end")
+    success: bool | None = column("played to its end and followed, as in `session.metrics()`")
+    success_sonic: bool | None = column("the same with SONIC's limits; None if the pelvis is held")
+    failed_at: float | None = column("first time beyond those limits", "s")
+    failed_link: str | None = column("link beyond those limits")
+    progress: float | None = column("fraction of the motion that was played")
+    survived: float | None = column("time played, to its end or to a fall", "s")
+    rmse: float | None = column("RMSE of all joints", "rad")
     mae: float | None = column("mean absolute error of all joints", "rad")
     p99: float | None = column("99th percentile of the absolute error", "rad")
-    max: float | None = column("the greatest error", "rad")
+    max: float | None = column("largest error", "rad")
     bias: float | None = column("root mean square of the joints' mean errors", "rad")
-    delay: float | None = column("by which the joints are behind the reference", "s")
-    velocity_rmse: float | None = column("of all joints", "rad/s")
+    delay: float | None = column("delay of the joints behind the reference", "s")
+    velocity_rmse: float | None = column("RMSE of all joint velocities", "rad/s")
     mpjpe: float | None = column("mean distance of the links, in the pelvis's frame", "mm")
     mpjpe_root: float | None = column("distance of the links, with the pelvis's attitude", "mm")
     mpjpe_world: float | None = column("distance of the links, in the world", "mm")
     e_vel: float | None = column("mean error of the links' velocities, in the world", "mm/frame")
-    e_acc: float | None = column("of their accelerations", "mm/frame²")
-    delay_p99: float | None = column("from a state to the command that is made of it", "s")
-    torque_rms: float | None = column("of all joints", "N·m")
-    torque_use: float | None = column("99th percentile of a joint over its limit, the highest")
-    saturated: float | None = column("share of the states with a joint at its limit")
-    power: float | None = column("of all motors", "W")
-    worst_joint: str | None = column("the one with the greatest RMSE")
+    e_acc: float | None = column("mean error of their accelerations", "mm/frame²")
+    delay_p99: float | None = column(
+        "99th percentile from a state to the command computed from it", "s"
+    )
+    torque_rms: float | None = column("RMS torque of all joints", "N·m")
+    torque_use: float | None = column("highest 99th percentile of a joint's torque over its limit")
+    saturated: float | None = column("fraction of the states with a joint at its limit")
+    power: float | None = column("power of all motors", "W")
+    worst_joint: str | None = column("joint with the largest RMSE")
 
-    output: str | None = column("the file that was written, below the library's directory")
-    report: str | None = column("the report of the session, below the library's directory")
-    seconds: float | None = column("that it took to compute", "s")
-    memory: float | None = column("of its process afterwards", "MB")
-    limits: str = column("of time and memory for it", default="")
+    output: str | None = column("written file, below the library's directory")
+    report: str | None = column("report of the session, below the library's directory")
+    seconds: float | None = column("computing time", "s")
+    memory: float | None = column("memory of the process afterwards", "MB")
+    limits: str = column("limits of time and memory", default="")
     picture: str | None = column("five poses, as the path of an SVG 100 wide and 30 high")
 
 
@@ -148,15 +152,15 @@ CONDITION_NAMES: Final = (
         if _KINDS.intersection(get_args(one.annotation))
     ),
 )
-"""What a condition on a row can name: its columns that are numbers or answers, and `ok`."""
+"""The names for conditions on a row: its numeric or yes/no columns, and `ok`."""
 
 
 def condition_value(row: Mapping[str, Any], name: str) -> float | None:
-    """What a condition names, as a number; None for what is not known.
+    """The value of a condition's name as a number; None if it is unknown.
 
     Args:
-        row: of the table of motions, with None or NaN for what was not computed.
-        name: of `CONDITION_NAMES`.
+        row: row of the table of motions, with None or NaN for values that were not computed.
+        name: one of `CONDITION_NAMES`.
     """
     value = row["status"] == "ok" if name == "ok" else row[name]
     unknown = value is None or (isinstance(value, float) and isnan(value))
@@ -164,30 +168,32 @@ def condition_value(row: Mapping[str, Any], name: str) -> float | None:
 
 
 class JointRow(Record):
-    """What is known of a joint in a motion."""
+    """Results for a joint in a motion."""
 
-    key: str = column("of the motion's row", default=...)
-    joint: str = column("its name", default=...)
-    lowest: float | None = column("the smallest angle in the motion", "rad")
-    highest: float | None = column("the largest angle in the motion", "rad")
-    max_speed: float | None = column("as streamed", "rad/s")
-    torque_limit: float | None = column("the smaller of the motor's and the URDF's", "N·m")
-    torque_bolted: float | None = column("the largest of the motion, with sign, bolted", "N·m")
-    torque_hanging: float | None = column("the largest of the motion, with sign, hanging", "N·m")
-    torque_follow: float | None = column("the largest of the motion, with sign, following", "N·m")
-    torque_free: float | None = column("the largest of the motion, with sign, free", "N·m")
-    rmse: float | None = column("of the simulated joint", "rad")
-    bias: float | None = column("its mean error", "rad")
-    p99: float | None = column("99th percentile of its absolute error", "rad")
-    max: float | None = column("its greatest error", "rad")
-    delay: float | None = column("by which it is behind the reference", "s")
-    torque_p99: float | None = column("99th percentile of its absolute torque", "N·m")
+    key: str = column("key of the motion's row", default=...)
+    joint: str = column("name of the joint", default=...)
+    lowest: float | None = column("smallest angle in the motion", "rad")
+    highest: float | None = column("largest angle in the motion", "rad")
+    max_speed: float | None = column("highest streamed speed", "rad/s")
+    torque_limit: float | None = column("the smaller of the motor's and the URDF's limit", "N·m")
+    torque_bolted: float | None = column("largest torque of the motion, with sign, bolted", "N·m")
+    torque_hanging: float | None = column("largest torque of the motion, with sign, hanging", "N·m")
+    torque_follow: float | None = column(
+        "largest torque of the motion, with sign, following", "N·m"
+    )
+    torque_free: float | None = column("largest torque of the motion, with sign, free", "N·m")
+    rmse: float | None = column("RMSE of the simulated joint", "rad")
+    bias: float | None = column("mean error", "rad")
+    p99: float | None = column("99th percentile of the absolute error", "rad")
+    max: float | None = column("largest error", "rad")
+    delay: float | None = column("delay behind the reference", "s")
+    torque_p99: float | None = column("99th percentile of the absolute torque", "N·m")
     torque_use: float | None = column("the same over its limit")
-    saturated: float | None = column("share of the states at its limit")
+    saturated: float | None = column("fraction of the states at its limit")
 
 
 class Rows(Record):
-    """The rows of one motion, and the values of a sweep that go into columns of their own."""
+    """The rows of one motion, and the values of a sweep, which have their own columns."""
 
     motion: MotionRow
     joints: list[JointRow] = Field(default_factory=list)
@@ -196,19 +202,19 @@ class Rows(Record):
 
 _EXTRA: Final = "library", "A library's tables need"
 _TABLES: Final[dict[str, type[Record]]] = {"joints": JointRow, "motions": MotionRow}
-#: So many small parts are made one; a part with more rows than this is not small.
+#: Number of small parts that are merged into one, and the most rows of a small part.
 _MOST_PARTS: Final = 64
 _SMALL: Final = 5_000
 
 
 @dataclass(frozen=True)
 class Library:
-    """What is known of the motions of a library.
+    """The tables of a library.
 
     Attributes:
-        path: of its directory.
+        path: path of its directory.
         motions: a row for each motion and variant, with a column `key`.
-        joints: a row for each joint of those, with the `key` of its motion.
+        joints: a row for each of their joints, with the `key` of its motion.
     """
 
     path: Path
@@ -220,17 +226,17 @@ class Library:
 
 
 def open_library(path: str | Path) -> Library:
-    """Read the tables of a library, also while it is computed.
+    """Read the tables of a library, also while it is being computed.
 
     Args:
-        path: of its directory, the `-o` of `g1stream library`.
+        path: path of its directory, the `-o` of `g1stream library`.
 
     Raises:
         ConfigError: the extra `library` is not installed.
         RecordingError: there is no library, or a part of it is damaged.
     """
     path = Path(path)
-    # Joints last: what has a row has its joints.
+    # Joints are read last, so that every motion has its joints.
     motions, joints = _read_tables(path, "motions", "joints")
     motions = _newest(motions)
     frame = joints.to_pandas().drop_duplicates(["key", "joint"], keep="last")
@@ -239,7 +245,7 @@ def open_library(path: str | Path) -> Library:
 
 
 def newest_motions(path: Path) -> pandas.DataFrame:
-    """`Library.motions` alone, in a tenth of the memory; errors are those of `open_library`."""
+    """Only `Library.motions`, in a tenth of the memory; errors are those of `open_library`."""
     (motions,) = _read_tables(path, "motions")
     return _newest(motions)
 
@@ -249,7 +255,7 @@ def _read_tables(path: Path, *names: str) -> list[Any]:
         try:
             tables = [_read(path / name) for name in names]
             break
-        except FileNotFoundError:  # a part became one with others meanwhile
+        except FileNotFoundError:  # a part was merged meanwhile
             continue
     else:
         raise RecordingError(f"{path} changes too fast to be read.", "Try again.")
@@ -264,7 +270,7 @@ def _newest(table: Any) -> pandas.DataFrame:
     motions: pandas.DataFrame = table.to_pandas()
     same = motions["path"].where(motions["sha256"] == "", motions["sha256"])
     newest = ~motions.assign(sha256=same).duplicated(["sha256", "command", "variant"], keep="last")
-    # A broken file has no variant, and may have become whole.
+    # A broken file has no variant, and may have been replaced by a valid one.
     newest &= (motions["status"] != "broken") | ~motions.duplicated(
         ["path", "command"], keep="last"
     )
@@ -276,7 +282,7 @@ def _parts(directory: Path) -> list[Path]:
 
 
 def _read(directory: Path) -> Any:
-    """The table in a directory, oldest rows first; None where there is none.
+    """The table in a directory, oldest rows first; None if there is none.
 
     Raises:
         FileNotFoundError: a part was removed meanwhile.
@@ -292,7 +298,7 @@ def _read_part(path: Path) -> Any:
     from pyarrow import parquet
 
     with _damage_named(path):
-        # Most parts are small: threads gain nothing.
+        # Most parts are small, so threads bring no gain.
         return parquet.read_table(path, partitioning=None, use_threads=False)
 
 
@@ -317,14 +323,14 @@ def _damage_named(path: Path) -> Iterator[None]:
         raise
     except (pyarrow.ArrowException, OSError) as error:
         raise RecordingError(
-            f"{path} is damaged: {error}.", "Remove it, and compute what it had into a new library."
+            f"{path} is damaged: {error}.", "Remove it, and compute its motions into a new library."
         ) from error
 
 
 def _concatenated(arrow: Any, tables: Sequence[Any]) -> Any:
-    """Tables below one another; sweeps have columns that others do not have.
+    """Concatenate tables, which may have different columns of sweeps.
 
-    A column with words in one and numbers in another has the numbers as words, too.
+    A column with text in one table and numbers in another becomes text.
     """
     kinds: dict[str, set[Any]] = {}
     for field in (field for table in tables for field in table.schema):
@@ -342,7 +348,7 @@ def _as_words(arrow: Any, table: Any, name: str) -> Any:
 
 
 class TableWriter:
-    """Adds rows to a library. Use `writing`."""
+    """Adds rows to a library. Create it with `writing`."""
 
     def __init__(self, directory: Path) -> None:
         self._arrow = import_extra("pyarrow", *_EXTRA)
@@ -350,7 +356,7 @@ class TableWriter:
         for table in self._directories.values():
             with output_errors(table):
                 table.mkdir(parents=True, exist_ok=True)
-            for left in table.glob(".*.part"):  # of a process that was killed
+            for left in table.glob(".*.part"):  # from a killed process
                 left.unlink()
         known = _read(self._directories["motions"])
         columns = ["sha256", "path", "command", "variant", "key", "status", "limits"]
@@ -362,11 +368,11 @@ class TableWriter:
         self._n_small = len(_small_parts(self._directories["motions"]))
 
     def has(self, key: str, limits: str) -> bool:
-        """Whether a row is there that need not be computed.
+        """Whether a row exists and need not be computed.
 
         Args:
-            key: of the row.
-            limits: one that failed within other limits than these does.
+            key: key of the row.
+            limits: a row that failed within other limits is computed again.
         """
         row = self._known.get(key)
         if row is None or row["status"] == "error":
@@ -386,7 +392,7 @@ class TableWriter:
             self.merge()
 
     def merge(self) -> None:
-        """Make the small parts of each table one."""
+        """Merge the small parts of each table."""
         self._number += 1
         for name, directory in self._directories.items():
             small = _small_parts(directory)
@@ -406,7 +412,7 @@ class TableWriter:
 
 @contextmanager
 def writing(directory: Path) -> Iterator[TableWriter]:
-    """Write to a library, as the only one that does.
+    """Write to a library, with exclusive access.
 
     Raises:
         ConfigError: the extra `library` is not installed.
@@ -421,7 +427,7 @@ def writing(directory: Path) -> Iterator[TableWriter]:
         except BlockingIOError:
             raise RecordingError(
                 f"Another process is writing to {directory}.",
-                "Wait until it is done, or choose another directory.",
+                "Wait until it ends, or choose another directory.",
             ) from None
         writer = TableWriter(directory)
         try:
@@ -436,7 +442,7 @@ def _table(
     rows: list[dict[str, Any]],
     own: Mapping[str, type] | None = None,
 ) -> Any:
-    """Rows as a table with the columns of a record, and with `own` ones of a sweep."""
+    """Rows as a table with the columns of a record, and its `own` columns of a sweep."""
     fields = [
         arrow.field(name, _type(arrow, one.annotation), metadata=_about(one))
         for name, one in kind.model_fields.items()
@@ -446,7 +452,7 @@ def _table(
 
 
 def _type(arrow: Any, annotation: Any) -> Any:
-    """The type of a column: of the first of `X | None`, and of what a Literal is of."""
+    """The Arrow type of a column: the first type of `X | None`, and the value type of a Literal."""
     kinds = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
     while annotation not in kinds:
         annotation = get_args(annotation)[0] if get_args(annotation) else type(annotation)

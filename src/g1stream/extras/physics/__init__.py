@@ -1,1 +1,1 @@
-"""What a motion asks of a robot, and how it could stand in it, before it is played."""
+"""The physics of a motion, and changes that let a robot play it on its feet."""

@@ -1,8 +1,8 @@
-"""Inverse dynamics of many frames at once: what `dynamics` computes, of recorded movements.
+"""Inverse dynamics of many frames at once: the results of `dynamics`, for recorded movements.
 
-Newton's and Euler's equations of each body, outward from the pelvis for the accelerations and back
-for the forces (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 5), along the axes
-of the world and about the pelvis's origin. A body is a link that a joint moves with all that is
+Newton-Euler equations of each body, outward from the pelvis for the accelerations and back for the
+forces (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 5), along the axes of the
+world and about the pelvis's origin. A body is a link that a joint moves, with everything that is
 fixed to it; body 0 is the pelvis. Inner arrays have components first and frames last, (3, B, T).
 """
 
@@ -23,22 +23,22 @@ from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
 _UP: Final = np.array([[0.0], [0.0], [1.0]])
-#: The link that a hanging robot hangs from.
+#: The link that carries a hanging robot.
 _CARRIER: Final = "torso_link"
-#: A carrier so near to the mass centre hangs in no direction, m.
+#: Closer than this to the mass centre, a carrier gives no hanging direction, m.
 _NO_LEVER: Final = 1e-9
 
 
 class BatchLoads(NamedTuple):
-    """What T frames take."""
+    """Loads of T frames."""
 
     tau: Floats  # (T, 29) N·m, motor order, friction included
-    force: Floats  # (T, 3) N, world, that acts on the robot for its pelvis to move so
+    force: Floats  # (T, 3) N, world, external force that this movement of the pelvis needs
     moment: Floats  # (T, 3) N·m, world, of that force about the pelvis's origin
 
 
 class BatchInverseDynamics:
-    """The bodies of a robot of `mass` kg, which hangs from its torso, if it hangs."""
+    """The bodies of a robot with `mass` kg. A hanging robot hangs from its torso."""
 
     def __init__(self, robot: G1) -> None:
         import mujoco
@@ -74,21 +74,21 @@ class BatchInverseDynamics:
     @classmethod
     @lru_cache(maxsize=KEPT_ROBOTS)
     def of(cls, robot: G1) -> BatchInverseDynamics:
-        """Of a robot; the same object every time."""
+        """The object for a robot; it is cached."""
         return cls(robot)
 
     def batch(self, poses: LinkPoses, joint_vel: Floats, joint_acc: Floats) -> MovementBatch:
-        """Frames whose loads are wanted: poses in the world, rad/s and rad/s² (T, 29), motor order.
+        """Frames for which loads are computed: world poses, rad/s and rad/s² (T, 29), motor order.
 
-        `BLOCK` frames at once are fastest.
+        Batches of `BLOCK` frames are fastest.
         """
         return MovementBatch(self, poses, joint_vel, joint_acc)
 
 
 class MovementBatch:
-    """T frames of a movement, whose pelvis can be held in several ways.
+    """T frames of a movement, for several ways to hold the pelvis.
 
-    Made by `BatchInverseDynamics.batch`.
+    It is made by `BatchInverseDynamics.batch`.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class MovementBatch:
         accelerations = joint_acc.T[robot.joints]
         self._joint_ang_vel = self._axes * joint_vel.T[robot.joints]
         self._joint_ang_acc = self._axes * accelerations
-        self._rotor_torque = np.zeros_like(joint_vel)  # that of friction is included
+        self._rotor_torque = np.zeros_like(joint_vel)  # includes that of friction
         self._rotor_torque[:, robot.joints] = (robot.armature * accelerations).T
         friction = friction_torque(joint_vel, robot.parameters)
         self._rotor_torque[:, robot.joints] += friction[:, robot.joints]
@@ -119,10 +119,10 @@ class MovementBatch:
         return self._loads(*self._held(GRAVITY * self._upright)).tau
 
     def hanging(self) -> tuple[Floats, Floats]:
-        """The torques (T, 29), N·m, of a robot that hangs, and the tilt (T,), rad, of its pelvis.
+        """The torques (T, 29), N·m, of a hanging robot, and the tilt (T,), rad, of its pelvis.
 
-        The pelvis is at rest as the pose lets it hang, the mass centre below the carrier's, and
-        accelerates as the movement forces it to, while the carrier bears the weight.
+        The pelvis is at rest where the pose lets it hang, with the mass centre below the carrier's.
+        It accelerates as the movement forces it to, while the carrier bears the weight.
         """
         robot, (forces, moments) = self._robot, self._at_rest
         centre = (robot.masses * self._centre).sum(axis=1) / robot.mass
@@ -144,9 +144,10 @@ class MovementBatch:
         return self._loads(forces, moments).tau, tilt
 
     def follow(self, ang_vel: Floats, ang_acc: Floats, lin_acc: Floats) -> BatchLoads:
-        """What the frames take if the pelvis moves as given (T, 3).
+        """The loads for given movements (T, 3) of the pelvis.
 
-        Its rad/s and rad/s² are in its frame, the m/s² of its origin in the world, without gravity.
+        Its rad/s and rad/s² are in its frame. The m/s² of its origin are in the world, without
+        gravity.
         """
         moving = self._moving(
             _times(self._pelvis, ang_vel.T),
@@ -156,9 +157,10 @@ class MovementBatch:
         return self._loads(*moving)
 
     def torques_of(self, links: Sequence[int], points: Floats, contact_forces: Floats) -> Floats:
-        """The torques (T, 29), N·m, that forces on links exert on the joints: J^T f.
+        """The joint torques (T, 29), N·m, from forces on links: J^T f.
 
-        They act on P links, each moved by a joint, at points (T, P, 3), m, with (T, P, 3) N, world.
+        The forces act on P links, each moved by a joint, at points (T, P, 3), m, with (T, P, 3) N,
+        world.
         """
         forces = np.zeros_like(self._pos)
         moments = np.zeros_like(self._pos)
@@ -187,7 +189,7 @@ class MovementBatch:
         return forces, moments + cross(self._centre, forces)
 
     def _held(self, acc: Floats, ang_acc: Floats | None = None) -> tuple[Floats, Floats]:
-        """The same of a pelvis that only begins to move, (3, T)."""
+        """The same for a pelvis that starts to move, (3, T)."""
         (forces, moments), more = self._at_rest, acc[:, np.newaxis]
         if ang_acc is not None:
             turning = np.repeat(ang_acc[:, np.newaxis], len(self._robot.masses), axis=1)
@@ -197,19 +199,19 @@ class MovementBatch:
         return forces + more, moments + cross(self._centre, more)
 
     def _outward(self, first: Floats, own: Floats) -> Floats:
-        """Sums from the pelvis to each body: of (3, T) for it and (3, B - 1, T) for the others."""
+        """Sums from the pelvis to each body: (3, T) for it and (3, B - 1, T) for the others."""
         total: Floats = np.concatenate([first[:, np.newaxis], own], axis=1)
         for body, parent in enumerate(self._robot.parents, start=1):
             total[:, body] += total[:, parent]
         return total
 
     def _loads(self, forces: Floats, moments: Floats) -> BatchLoads:
-        """What joints and pelvis take for the forces and moments of the bodies (3, B, T)."""
+        """Loads of joints and pelvis from the forces and moments of the bodies (3, B, T)."""
         tau = self._transmitted(forces, moments) + self._rotor_torque
         return BatchLoads(tau, forces[:, 0].T, moments[:, 0].T)
 
     def _transmitted(self, forces: Floats, moments: Floats) -> Floats:
-        """What joints (T, 29) transmit to the bodies; makes the sums over what each carries."""
+        """Torques (T, 29) of the joints on the bodies; sums the loads that each body carries."""
         for body in range(len(self._robot.parents), 0, -1):
             parent = self._robot.parents[body - 1]
             forces[:, parent] += forces[:, body]
@@ -242,7 +244,7 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 def _swing(ang_vel: Floats, ang_acc: Floats, lever: Floats) -> Floats:
-    """The acceleration (3, ...) of a lever's end, relative to its beginning."""
+    """The acceleration (3, ...) of a lever's end relative to its start."""
     return cross(ang_acc, lever) + cross(ang_vel, cross(ang_vel, lever))
 
 

@@ -1,4 +1,4 @@
-"""Motions on both feet, made by formulas: squats and steps, for examples and tests."""
+"""Example motions on both feet from formulas, for tests and documentation: squats and steps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from g1stream.types import Floats
 
 
 def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion:
-    """A motion that squats every 4 s, swings both arms by so many rad and turns the waist."""
+    """A motion that squats every 4 s, swings both arms by `arms` rad and turns the waist."""
     time = np.arange(round(seconds * fps) + 1) / fps
     begun = minimum_jerk(time / 2.0)[0]
 
@@ -46,17 +46,17 @@ def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion
 def stepping(
     places: ArrayLike, *, period: float = 1.6, swing: float = 0.8, fps: float = 50.0
 ) -> Motion:
-    """A motion that steps: first the left foot, then the right one, and so on, from rest to rest.
+    """A motion that steps with alternating feet, left first, from rest to rest.
 
     A foot is lifted by 6 cm, for `swing` s in each `period`. The pelvis stays midway between the
-    feet, and not over the one that stands. `places` (N, 3) has x and y, m, and heading, rad: where
-    the robot would stand if both feet had come as far as the one that makes step k, from 0, 0, 0.
+    feet, and not over the standing one. `places` (N, 3) has x and y, m, and heading, rad, of step
+    k: the pose of the robot if both feet were placed like the foot of that step, from 0, 0, 0.
     """
     goals = np.concatenate([np.zeros((1, 3)), np.asarray(places, dtype=np.float64)])
     robot = G1.default()
     soles = Soles(robot)
     time = np.arange(round((len(goals) + 1) * period * fps) + 1) / fps
-    # Where each foot would have the robot stand (T, 2, 3), and how high it is.
+    # The robot's place for each foot (T, 2, 3), and the foot's height.
     stand, height = np.zeros((len(time), 2, 3)), np.zeros((len(time), 2))
     for k, goal in enumerate(goals[1:]):
         foot = k % 2

@@ -1,7 +1,7 @@
-"""Where the feet of a motion stand, and where they are between.
+"""Places of the feet of a motion while they stand and while they move.
 
-Each foot keeps its place, position and heading, until it is lifted. Where it is put then, beside
-the other foot, is the average while both stand, until the next lift of either.
+Each foot keeps its position and heading until it is lifted. Its next place, relative to the other
+foot, is the average while both stand, until the next lift of either.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from g1stream.robot.soles import SIDES, Soles
 from g1stream.text import ranges
 from g1stream.types import Floats
 
-#: A foot that is so much higher than the other is lifted, from when it was higher by the second
-#: figure until it is not, m.
+#: A foot is lifted if it is higher than the other by the first value. The lift begins and ends
+#: where it is higher by the second value, m.
 _LIFTED: Final = 0.03, 0.01
-#: Where both feet are so much higher than the lower one mostly is, the robot is in the air, m.
+#: The robot is in the air if both feet are higher by this than the lower one usually is, m.
 _HOPS: Final = 0.1
-#: A lifted foot comes off its place, and gets to the next, within this, s.
+#: Time in which a lifted foot leaves its place, and reaches the next one, s.
 _LEAVES: Final = 0.1
-#: A foot that stands, and is so far from its place, m, or turned from it, rad, slides.
+#: A standing foot slides if it is so far from its place, m, or turned from it, rad.
 _SLIDES: Final = 0.1, 0.25
-#: Stretches of frames that an error names.
+#: Number of ranges of frames in an error message.
 _NAMED: Final = 3
 
 
 class CannotStandError(MotionError):
-    """A motion that cannot be played on the robot's own feet: `what` forbids it, in `frames` (T,).
+    """A motion cannot be played on the robot's own feet because of `what` in `frames` (T,).
 
-    `why` is both in words; `slower` says that it may be possible to play it slower.
+    `why` is both in words; `slower` means that playing it slower may help.
     """
 
     def __init__(self, motion: Motion, what: str, frames: Flags, *, slower: bool = False) -> None:
@@ -48,23 +48,23 @@ class CannotStandError(MotionError):
         self.what, self.frames, self.slower = what, frames, slower
         super().__init__(
             f"{motion.name} cannot be played on its feet: {self.why}.",
-            "Play a part without them, or hold the robot.",
+            "Play a part without these frames, or hold the robot.",
         )
 
 
 class Footing(NamedTuple):
-    """Where the feet of a motion of T frames are put."""
+    """Places of the feet in T frames of a motion."""
 
     feet: Floats  # (T, 2, 3) m, world, the links of the feet
     turns: Floats  # (T, 2, 4) wxyz, foot to world; the feet are level
-    shift: Floats  # (T, 3) m, by how much the feet that stand were moved on average
-    moved: float  # m, how far a foot that stands was moved, seen from between both feet, at most
-    turned: float  # rad, by how much a foot was turned at most
-    levelled: float  # m, how far the lower foot was from where it mostly is, at most
+    shift: Floats  # (T, 3) m, mean shift of the standing feet
+    moved: float  # m, largest shift of a standing foot, relative to the point between both feet
+    turned: float  # rad, largest rotation of a foot
+    levelled: float  # m, largest distance of the lower foot from its usual height
 
 
 class _Lift(NamedTuple):
-    """Frames from `first` until before `stop` in which a foot, 0 or 1, is lifted."""
+    """A lift of a foot, 0 or 1: the frames from `first` up to, but not including, `stop`."""
 
     first: int
     stop: int
@@ -72,7 +72,7 @@ class _Lift(NamedTuple):
 
 
 def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
-    """Where the feet of a motion stand; a lifted one follows the motion relative to the other."""
+    """Find the places of the feet. A lifted foot follows the motion relative to the other."""
     of_feet = [
         (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))
         for _, poses in pose_blocks(
@@ -92,7 +92,7 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     headings = yaw_of(turns)
     middle = feet.mean(axis=1, keepdims=True)
     apart = feet - middle
-    # From the middle of a lift, in which the foot follows the motion, to that of the next one.
+    # From the middle of a lift, in which the foot follows the motion, to the middle of the next.
     begins = [0, *((lift.first + lift.stop) // 2 for lift in lifts), len(feet)]
     places, planted, moved = np.empty_like(feet), np.empty_like(headings), 0.0
     place, heading = np.empty((2, 3)), np.empty(2)
@@ -120,7 +120,7 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     away = np.stack([_leaving(one, motion.fps) for one in lifted.T], axis=1)[..., np.newaxis]
     stood = 1.0 - away
     off = (feet - feet[:, ::-1]) - (places - places[:, ::-1])
-    off[..., 2] = above  # by its sole: a foot on its toes has its link higher up
+    off[..., 2] = above  # by its sole, because a foot on its toes has a raised link
     return Footing(
         places + away * off,
         level,
@@ -132,9 +132,9 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
 
 
 def _find_lifted(above: Floats) -> Flags:
-    """Which foot is lifted (T, 2), of how far it is above the other; never both.
+    """Which foot is lifted (T, 2), from its height above the other; never both.
 
-    The floor is where the lower foot is, because retargeted feet float and sink.
+    The lower foot defines the floor, because retargeted feet float and sink.
     """
     lifted = np.zeros(above.shape, np.bool_)
     for foot in range(len(SIDES)):
@@ -144,7 +144,7 @@ def _find_lifted(above: Floats) -> Flags:
 
 
 def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
-    """The lifts of both feet; on both stands the robot before and after each of them."""
+    """The lifts of both feet in order. The robot must stand on both before and after each."""
     ends = np.zeros(len(lifted), np.bool_)
     for first, stop in stretches(np.asarray(lifted.any(axis=1))):
         ends[first:stop] = first == 0 or stop == len(lifted)
@@ -169,7 +169,7 @@ def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
 def _refuse_sliding(
     motion: Motion, feet: Floats, headings: Floats, lifted: Flags, now: slice
 ) -> None:
-    """Raise CannotStandError where a foot that stands is far from where it mostly stands `now`."""
+    """Raise CannotStandError if a standing foot is far from its usual place `now`."""
     both = ~lifted[now].any(axis=1)
     mostly = np.median(feet[now][both], axis=0)
     away = np.linalg.norm((feet[now] - mostly)[..., :2], axis=-1)
@@ -183,12 +183,12 @@ def _refuse_sliding(
 
 
 def _leaving(lifted: Flags, fps: float) -> Floats:
-    """How far a foot follows the motion instead of standing (T,): 1 while it is lifted, or 0."""
+    """How much a foot follows the motion instead of standing (T,): 1 while lifted, down to 0."""
     from scipy.ndimage import distance_transform_edt
 
     if not lifted.any():
         return np.zeros(len(lifted))
-    frames: Floats = distance_transform_edt(~lifted)  # to the nearest one in which it is
+    frames: Floats = distance_transform_edt(~lifted)  # distance to the nearest lifted frame
     return 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
 
 

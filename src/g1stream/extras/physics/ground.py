@@ -1,4 +1,4 @@
-"""The soles of a motion on a flat floor: which corners touch it, and what they can carry.
+"""Contact of a motion's soles with a flat floor: which corners touch, and the contact forces.
 
 The floor is at height 0. docs/physics.md has the formulas and their sources.
 """
@@ -18,35 +18,34 @@ FRICTION: Final = 0.6
 """Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
 
 TRUSTED_FRICTION: Final = 0.4
-"""What a robot that stands trusts the floor with: less than there mostly is."""
+"""A lower coefficient for planning, because a floor may have less than usual."""
 
-#: A corner touches the floor once it is lower and slower than the first figures, and until it is
-#: higher or faster than the second ones, m and m/s. Clips that were retargeted have standing feet
-#: up to 2 cm above the floor, which slide by some 0.1 m/s.
+#: A corner touches the floor from when it is below both of the first height and speed until it is
+#: above one of the second ones, m and m/s. In retargeted clips standing feet are up to 2 cm above
+#: the floor and slide at about 0.1 m/s.
 _TOUCHES: Final = (0.02, 0.25)
 _LEAVES: Final = (0.035, 0.5)
 
-#: Frames at once, which the cache of a processor holds.
+#: Frames per block, which fit into a processor's cache.
 _PIECE: Final = 256
-#: The share of the squared forces in what is minimised when the floor's force is distributed: so
-#: small that the forces add up to what is needed within a millionth, and their moments, whose
-#: levers are short, within a ten-thousandth.
+#: Weight of the squared forces when the contact force is distributed. It is so small that the sum
+#: of the forces is right to a millionth, and their moments, with short levers, to a ten-thousandth.
 _EVEN: Final = 1e-6
-#: After so many rounds Newton's method goes in circles; of 3,500 frames of a dance in 140.
+#: Most iterations of Newton's method, which cycles in 140 of 3,500 frames of a dance.
 _ROUNDS: Final = 12
 #: Edges of the friction pyramid.
 _EDGES: Final = np.array(
     [(FRICTION, 0, 1), (-FRICTION, 0, 1), (0, FRICTION, 1), (0, -FRICTION, 1)], dtype=float
 )
-#: A lever (3,) times this (3, 12) is its cross product with each edge.
+#: The cross product of a lever (3,) with each edge is the lever times this (3, 12).
 _LEVERS: Final = np.cross(np.eye(3)[:, np.newaxis], _EDGES).reshape(3, -1)
 
 
 def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
     """Which corners (T, C, 3), m, world, touch the floor (T, C), and their horizontal speed, m/s.
 
-    With hysteresis, in height and in speed, so that noise about a threshold does not count as
-    steps. Until a corner is first clearly on the floor or off it, it counts as it does then.
+    Height and speed have hysteresis, so that noise at a threshold does not count as steps. A corner
+    has its first clear state, on the floor or off it, also in the frames before.
     """
     velocity = np.gradient(corners, axis=0) * fps
     height, speed = corners[..., 2], np.linalg.norm(velocity, axis=-1)
@@ -60,10 +59,10 @@ def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
 
 
 def zero_moment_point(force: Floats, moment: Floats) -> Floats:
-    """Where on the floor (..., 2), m, a force would have no moment about a horizontal axis.
+    """The point on the floor (..., 2), m, about which a force has no horizontal moment.
 
-    The force (..., 3), N, is that of the floor on the robot, and the moment about the world's
-    origin. It is not finite where the force has no vertical part.
+    The force (..., 3), N, is that of the floor on the robot, and the moment is about the world's
+    origin. The point is not finite if the force has no vertical component.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         point: Floats = np.stack([-moment[..., 1], moment[..., 0]], axis=-1) / force[..., 2:]
@@ -71,13 +70,13 @@ def zero_moment_point(force: Floats, moment: Floats) -> Floats:
 
 
 def beyond_support(points: Floats, corners: Floats, touches: Flags) -> Floats:
-    """How far points (T, 2), m, are outside of the convex hull of the corners (T, C, 3) that touch.
+    """Distance of points (T, 2), m, outside of the convex hull of the touching corners (T, C, 3).
 
-    As seen from above; inside it is negative, and says how far the nearest edge is. Of a frame in
-    which no corner touches (T, C) it means nothing.
+    Seen from above. Inside it is negative: the distance to the nearest edge. It has no meaning in
+    frames without a touching corner (T, C).
     """
     n_corners = corners.shape[1]
-    # A corner that does not touch stands where one that does stands: the hull is the same.
+    # Corners that do not touch are moved to one that does, which does not change the hull.
     substitute = np.where(touches, np.arange(n_corners), touches.argmax(axis=1)[:, np.newaxis])
     hull = np.take_along_axis(corners[..., :2], substitute[..., np.newaxis], axis=1)
     seen = np.ascontiguousarray((hull - points[:, np.newaxis]).T)  # (2, C, T), from the point
@@ -87,10 +86,11 @@ def beyond_support(points: Floats, corners: Floats, touches: Flags) -> Floats:
 
 
 def beyond_hull(x: Floats, y: Floats) -> Floats:
-    """How far the origin (T,) is outside of the convex hulls of corners (C, T); inside negative.
+    """Distance of the origin (T,) outside of the convex hulls of corners (C, T); inside negative.
 
-    The distance of a point p from a convex set is the largest n . p - max_c n . c of all directions
-    n, which for corners c is that of a normal of a line through two of them, or of p - c.
+    The distance of a point p from a convex set is the largest n . p - max_c n . c over all
+    directions n. For corners c these are the normals of lines through two corners, and the
+    directions of p - c.
     """
     i, j = np.triu_indices(len(x), 1)
     along = np.concatenate([y[j] - y[i], x])[:, np.newaxis]
@@ -104,20 +104,19 @@ def beyond_hull(x: Floats, y: Floats) -> Floats:
 
 
 def floor_forces(corners: Floats, touches: Flags, force: Floats, moment: Floats) -> Floats:
-    """The forces (T, C, 3), N, world, with which a floor pushes at corners (T, C, 3) that touch it.
+    """The contact forces (T, C, 3), N, world, at the touching corners (T, C, 3) of the soles.
 
     Their sum is a force (T, 3), N, and a moment (T, 3), N·m, about the world's origin, as far as
-    can be: each corner pushes within a friction pyramid of four edges, inscribed in the cone of
-    `FRICTION`. Of all distributions with the same sum this is the one with the least squared forces
-    (non-negative least squares), so that feet that stand alike carry alike.
+    possible. The force at a corner is within a friction pyramid of four edges, inscribed in the
+    cone of `FRICTION`. Of all distributions with the same sum it is the one with the least squared
+    forces (non-negative least squares), so that symmetric feet share the load equally.
 
-    Along which edges the floor pushes is found for all frames at once: it is those along which the
-    solution for these alone pushes (Newton's method for the dual problem). In the few frames in
-    which that goes in circles the method is that of Lawson and Hanson (1974).
+    The active edges are found for all frames at once, by Newton's method for the dual problem. In
+    the few frames in which it cycles, the method of Lawson and Hanson (1974) is used.
     """
     count = np.maximum(touches.sum(axis=1, keepdims=True), 1)
     centre = (touches[..., np.newaxis] * corners).sum(axis=1) / count
-    along = np.zeros((*corners.shape[:2], len(_EDGES), 6))  # force and moment of a push of 1 N
+    along = np.zeros((*corners.shape[:2], len(_EDGES), 6))  # force and moment per newton
     along[..., :3] = _EDGES
     along[..., 3:] = ((corners - centre[:, np.newaxis]) @ _LEVERS).reshape(along[..., 3:].shape)
     along = (along * touches[..., np.newaxis, np.newaxis]).reshape(len(corners), -1, 6)
@@ -140,7 +139,7 @@ def floor_forces(corners: Floats, touches: Flags, force: Floats, moment: Floats)
 
 
 def _least_squares(along: Floats, asked: Floats) -> Floats:
-    """Pushes (E,) >= 0 whose sum along (6, E) comes nearest to what is asked (6,)."""
+    """Pushes (E,) >= 0 whose sum along (6, E) is closest to the desired one (6,)."""
     from scipy.optimize import lsq_linear, nnls
 
     even = np.sqrt(_EVEN) * np.eye(along.shape[1])
@@ -148,11 +147,11 @@ def _least_squares(along: Floats, asked: Floats) -> Floats:
     pushes: Floats
     try:
         pushes, _ = nnls(factors, wanted)
-    except RuntimeError:  # it may go in circles, too, where corners all but coincide
+    except RuntimeError:  # it may also cycle if corners almost coincide
         pushes = lsq_linear(factors, wanted, bounds=(0.0, np.inf)).x
     return pushes
 
 
 def stretches(flags: Flags) -> NDArray[np.intp]:
-    """First index and one after the last index (S, 2) of each stretch of True in (T,)."""
+    """First index and index after the last (S, 2) of each run of True in (T,)."""
     return np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The joints of the legs for given feet: inverse kinematics of many frames at once."""
+"""Inverse kinematics of the legs for given feet, for many frames at once."""
 
 from __future__ import annotations
 
@@ -26,33 +26,33 @@ from g1stream.robot.rotations import (
 from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
 
-#: A foot carries nothing from so long before it is lifted, s, and from a frame before it at least:
-#: between two frames the centre of pressure is on its way.
+#: A foot carries no load from this time before it is lifted, s, and at least from a frame before,
+#: because the centre of pressure moves between two frames.
 _UNLOADED: Final = 0.03
 _TOO_SHORT: Final = "the legs are too short, or their knees all but stretched,"
-#: Feet this near to where they shall be, m and rad, are there.
+#: Feet within this of their places have reached them, m and rad.
 _EXACT: Final = 1e-6
-#: A knee is bent by this at least, rad: a stretched one cannot lift the pelvis.
+#: Least bend of a knee, rad, because a stretched one cannot raise the pelvis.
 _KNEE: Final = 0.12
-_BENT: Final = 0.4  # where the search begins
-#: Iterations until the feet are where they shall be.
+_BENT: Final = 0.4  # start of the search
+#: Most iterations until the feet have reached their places.
 _ITERATIONS: Final = 40
-#: An iteration turns no joint by more, rad; added to the squares of a leg's singular values.
+#: Largest joint step of an iteration, rad; damping added to squared singular values of a leg.
 _LARGEST_TURN: Final = 0.3
 _DAMPING: Final = 1e-6
 
 
 class LegsTooShortError(CannotStandError):
-    """The legs do not reach from the pelvis to where the feet shall be."""
+    """The legs cannot reach from the pelvis to the places of the feet."""
 
 
 class Legs:
-    """The joints of the legs for given feet: links (T, 2, 3), m, world, and turns (T, 2, 4) wxyz.
+    """The leg joints for given feet: links (T, 2, 3), m, world, and turns (T, 2, 4) wxyz.
 
     Attributes:
-        corners: (T, 8, 3) m, world, of the soles.
-        carries: (T, 8) whether a corner is one of a foot that may carry the robot: that stands on
-            the floor at height 0, and is not about to be lifted.
+        corners: (T, 8, 3) m, world, corners of the soles.
+        carries: (T, 8) whether a corner is on a foot that may carry the robot: the foot stands
+            on the floor at height 0, and is not about to be lifted.
     """
 
     def __init__(self, robot: G1, soles: Soles, feet: Floats, turns: Floats, fps: float) -> None:
@@ -69,7 +69,7 @@ class Legs:
         self.carries = np.repeat(_carrying(feet[..., 2] < soles.height + OFF_FLOOR, fps), 4, axis=1)
 
     def bent(self, motion: Motion) -> Motion:
-        """The motion with its knees bent: from a stretched one, `reach` could bend it backwards."""
+        """The motion with bent knees, because `reach` could bend a stretched one backwards."""
         joint_pos = motion.joint_pos.copy()
         for hip, _, _, knee, ankle, _ in self._joints:
             bend = np.maximum(0.0, _BENT - joint_pos[:, knee])
@@ -78,10 +78,10 @@ class Legs:
         return replace(motion, joint_pos=joint_pos)
 
     def reach(self, motion: Motion, root_pos: Floats, moved: Flags | None = None) -> Motion:
-        """The motion with its pelvis elsewhere (T, 3), m, and its feet in place.
+        """The motion with other pelvis positions (T, 3), m, and the feet in place.
 
-        Newton's method with damped steps, many frames at once, in each until its feet are there.
-        Frames in which the pelvis is not `moved` (T,) have them there already.
+        Newton's method with damped steps, for many frames at once, until the feet are in place. In
+        frames in which the pelvis is not `moved` (T,), they already are.
         """
         q, quat, error = motion.joint_pos.copy(), motion.root_quat_wxyz, np.zeros(motion.n_frames)
         left = np.arange(len(q)) if moved is None else np.flatnonzero(moved)
@@ -98,7 +98,7 @@ class Legs:
     def _step(
         self, q: Floats, root_pos: Floats, root_quat: Floats, frames: NDArray[np.intp]
     ) -> Floats:
-        """Move the joints in N frames towards what is asked; returns how far they were off."""
+        """Move the joints in N frames towards the places; return the distances before the step."""
         feet, links = self._soles.links, np.array(self._links)
         pose = q[frames], root_pos[frames], root_quat[frames]
         poses = forward_kinematics(self._robot, *pose, feet)
@@ -122,7 +122,7 @@ class Legs:
 
 
 def _carrying(stands: Flags, fps: float) -> Flags:
-    """Which feet (T, 2), of those that stand, may carry the robot; one of them always does."""
+    """Which standing feet (T, 2) may carry the robot; at least one always does."""
     carries: Flags = stands.copy()
     for ahead in range(1, 1 + ceil(_UNLOADED * fps)):
         carries[:-ahead] &= stands[ahead:]

@@ -1,7 +1,7 @@
-"""The physical sense of a motion: what it would take to play it, for each way to hold the robot.
+"""Physics of a motion: contacts, collisions and torques for each way to hold the robot.
 
-Nothing is simulated: every frame is looked at by itself, with the velocities and accelerations of
-the spline through the frames. docs/physics.md has the formulas, thresholds and sources.
+There is no simulation. Every frame is analysed alone, with the velocities and accelerations of the
+spline through the frames. docs/physics.md has the formulas, thresholds and sources.
 """
 
 from __future__ import annotations
@@ -50,30 +50,29 @@ from g1stream.types import Floats, StreamSupport, Support
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
-# Limits, and how long they may be passed; docs/physics.md says why these.
-_TOUCHING: Final = 1.0  # depth of two links in each other, mm
-_DEEP: Final = 10.0  # the same, which forbids a motion
-_OUTSIDE: Final = 10.0  # of the centre of pressure from the support polygon, mm
-_UNSUPPORTED: Final = 0.2  # force that nothing exerts, over the weight
+# Limits, and the longest time beyond them; docs/physics.md explains the values.
+_TOUCHING: Final = 1.0  # penetration depth of two links, mm
+_DEEP: Final = 10.0  # depth of two links that forbids a motion, mm
+_OUTSIDE: Final = 10.0  # distance of the centre of pressure outside of the support polygon, mm
+_UNSUPPORTED: Final = 0.2  # force without a contact that can exert it, over the weight
 _SUNK: Final = 10.0  # depth below the floor, mm
 _SKATING: Final = 100.0  # speed of a corner that touches the floor, mm/s
 _TIPS: Final = 0.1  # time in which a robot on its feet begins to fall, s
-_SAGS: Final = 0.5  # time in which a joint that lacks torque is somewhere else, s
+_SAGS: Final = 0.5  # time in which a joint without enough torque leaves its place, s
 _SWINGS: Final = 0.5  # time in which a hanging pelvis turns, s
 
 
 class _Frames(NamedTuple):
-    """What is known of T frames without dynamics."""
+    """Properties of T frames that need no dynamics."""
 
     fps: float  # frames per second
-    first: int  # number of the first of them in the motion
+    first: int  # index of the first frame in the motion
     corners: Floats  # (T, 8, 3) m, world, of the soles
     touches: Flags  # (T, 8) whether a corner touches the floor
     speeds: Floats  # (T, 8) m/s, horizontal
-    # by link but the feet, (T,) m from the floor to its lowest point, infinite where it is above
-    # the floor
+    # Height (T,) of each link's lowest point, m, without the feet; infinite above the floor.
     heights: dict[str, Floats]
-    # by pair of links, (T,) m that they are inside each other
+    # Penetration depth (T,) of each pair of links, m.
     depths: dict[tuple[str, str], Floats]
 
 
@@ -88,22 +87,22 @@ def motion_physics(
     trajectory: Trajectory | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MotionPhysics:
-    """What it would take to play a motion: contacts, collisions, centre of pressure, torques.
+    """The physics of a motion: contacts, collisions, centre of pressure and torques.
 
-    docs/physics.md has the formulas, and what it takes.
+    docs/physics.md has the formulas, and the computing time.
 
     Args:
-        motion: its frames; the floor is at height 0.
+        motion: the motion; the floor is at height 0.
         robot: the G1; the default one if None.
         max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
         played: (29,) the joints that play it, for support feet; all if None.
-        frames: consecutive ones that are played, two or more; all if None.
-        suggest: find what can be played with support feet instead, where that cannot.
-        trajectory: through its frames; made if None.
-        progress: called with the fraction that is done, 0 to 1.
+        frames: consecutive frames that are played, two or more; all if None.
+        suggest: search for alternatives if it cannot be played with support feet.
+        trajectory: spline through its frames; made if None.
+        progress: called with the fraction done, 0 to 1.
 
     Raises:
-        RobotError: the dynamics or the soles of this robot are not known.
+        RobotError: the dynamics or the soles of this robot are unknown.
     """
     robot, frames = robot or G1.default(), frames or range(motion.n_frames)
     trajectory, soles = trajectory or Trajectory(motion), Soles(robot)
@@ -179,7 +178,7 @@ def _on_planted_feet(
 def _without_dynamics(
     motion: Motion, frames: range, robot: G1, soles: Soles, progress: Callable[[float], None]
 ) -> tuple[_Frames, Callable[[slice, LinkPoses], None]]:
-    """What is known of the feet, and what completes it with all links of some frames."""
+    """Feet and contacts, and a function that adds the links of some frames."""
     feet = [robot.link_names[link] for link in soles.links]
     hulls = [hull for hull in read_hulls(robot) if hull.link not in feet]
     collision = SelfCollision(robot)
@@ -206,10 +205,10 @@ def _pose(motion: Motion, first: int, n_frames: int) -> tuple[Floats, Floats, Fl
 
 
 def _lowest(robot: G1, hulls: Sequence[Hull], poses: LinkPoses) -> Iterator[tuple[str, Floats]]:
-    """The height (T,) of each hull's lowest point, m, infinite where it is above the floor."""
+    """The height (T,) of each hull's lowest point, m; infinite above the floor."""
     links = [robot.link_index(hull.link) for hull in hulls]
     w, x, y, z = poses.quat_wxyz.T[:, links]
-    # The world's vertical in the links' frames: the last row of their matrices.
+    # The world's vertical in the links' frames is the last row of their matrices.
     up = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
     for number, hull in enumerate(hulls):
         height, own = poses.pos.T[2, links[number]], up[:, number]
@@ -222,9 +221,9 @@ def _lowest(robot: G1, hulls: Sequence[Hull], poses: LinkPoses) -> Iterator[tupl
 
 
 def _beyond_support(frames: _Frames, loads: Loads) -> Floats:
-    """How far the centre of pressure is outside of the support polygon (T,), m.
+    """Distance (T,) of the centre of pressure outside of the support polygon, m.
 
-    NaN where no foot is on the floor, or next to nothing on the feet.
+    NaN if no foot is on the floor, or if almost no weight is on the feet.
     """
     points = zero_moment_point(loads.force, loads.moment)
     pressed = frames.touches.any(axis=1) & (loads.force[:, 2] > _UNSUPPORTED * loads.weight)
@@ -243,7 +242,7 @@ def _self_collision(frames: _Frames) -> Excess | None:
 
 
 def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:
-    """What speaks against a motion on the robot's own feet, but tilt, torque and self-collision."""
+    """Problems of a motion on the robot's own feet, except tilt, torque and self-collision."""
     stands, over = frames.touches.any(axis=1), partial(_excess, frames)
     force, up = loads.force, loads.force[:, 2]
     pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
@@ -281,10 +280,10 @@ def _excess(
     *,
     longest: float | None = None,
 ) -> Excess | None:
-    """Where values (T,) or (T, K) are above a limit, a number or (K,); None if nowhere.
+    """The excess of values (T,) or (T, K) over a limit, a number or (K,); None without one.
 
-    Where one of the K is for longer than `longest` s, that forbids the motion, and only these
-    frames count.
+    If one of the K values is beyond it for longer than `longest` s, the excess forbids the
+    motion, and only these frames count.
     """
     values = values.reshape(len(values), -1)
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape[1:])
@@ -312,7 +311,7 @@ def _excess(
 
 
 def _lasting(flags: Flags, n_frames: float) -> Flags:
-    """The stretches of True in each column of (T, K) that are longer than so many frames."""
+    """The runs of True in each column of (T, K) that are longer than `n_frames` frames."""
     lasting = np.zeros_like(flags)
     for k, edges in _stretches_by_column(flags):
         for first, stop in edges[np.diff(edges)[:, 0] > n_frames]:
@@ -321,13 +320,13 @@ def _lasting(flags: Flags, n_frames: float) -> Flags:
 
 
 def _stretches_by_column(flags: Flags) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """The columns of (T, K) that have some, and their stretches of True."""
+    """The columns of (T, K) with runs of True, and the runs."""
     for k in np.flatnonzero(flags.any(axis=0)):
         yield int(k), stretches(flags[:, k])
 
 
 def _spans(frames: _Frames, flags: Flags) -> tuple[tuple[int, int], ...]:
-    """First and last frame of each stretch of True in (T,)."""
+    """First and last frame of each run of True in (T,)."""
     edges = frames.first + stretches(flags)
     return tuple((int(first), int(stop) - 1) for first, stop in edges)
 
@@ -389,16 +388,16 @@ def _peaks(frames: _Frames, tau: Floats, limit: Floats) -> tuple[TorquePeak, ...
 
 
 class Loads(NamedTuple):
-    """What T frames take."""
+    """Loads of T frames."""
 
     mass: float  # kg, of the robot
     weight: float  # N
     tau: dict[Support, Floats]  # by support, (T, 29) N·m, motor order
-    # (T, 3) N, world, that has to act on the robot for its pelvis to move as in the motion; at rest
-    # its weight, upward
+    # (T, 3) N, world, external force that the pelvis's movement needs; at rest it is the weight,
+    # upward.
     force: Floats
     moment: Floats  # (T, 3) N·m, world, of that force about the world's origin
-    hanging_tilt: Floats  # (T,) rad, of the pelvis of a robot that hangs at rest
+    hanging_tilt: Floats  # (T,) rad, tilt of the pelvis of a robot that hangs at rest
 
 
 def movement_loads(
@@ -410,14 +409,14 @@ def movement_loads(
     look: Callable[[slice, LinkPoses], None],
     first: int = 0,
 ) -> Loads:
-    """The torques of each support, and the force and moment that the pelvis's motion takes.
+    """The torques for each support, and the force and moment that the pelvis's movement needs.
 
-    Joints move as the spline through the frames, whose accelerations are greatest at frames. With
-    `bolted` the pelvis is upright. With `hanging` it is at rest as the pose lets it hang: the mass
-    centre below the carrier's. With `free` the floor exerts the force on the corners (T, 8, 3) that
-    touch it (T, 8), as far as it can (`floor_forces`); the rest is left to an outer force on the
-    pelvis. `look` is called with some frames at a time, and the poses of the links in them. Of the
-    T frames the first has the number `first` in the motion.
+    Joints move on the spline through the frames, whose accelerations are largest at frames. With
+    `bolted` the pelvis is upright. With `hanging` it is at rest where the pose lets it hang, with
+    the mass centre below the carrier's. With `free` the floor exerts the force on the touching
+    corners (T, 8, 3), (T, 8), as far as it can (`floor_forces`); an external force on the pelvis
+    is the rest. `look` is called with blocks of frames and the link poses in them. The first of
+    the T frames has the index `first` in the motion.
     """
     dynamics, motion = BatchInverseDynamics.of(robot), trajectory.motion
     n_frames, feet = len(corners), np.repeat(soles.links, 4).tolist()

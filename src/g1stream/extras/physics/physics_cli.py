@@ -1,4 +1,4 @@
-"""`g1stream physics`: what it would take to play a motion."""
+"""`g1stream physics`: prints the contacts, collisions and torques of a motion."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from g1stream.cli.progress import showing_progress
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(SettingsCommand, MotionFlags):
-    """Prints what it would take to play a motion bolted, hanging, with the pelvis led or standing.
+    """Checks how a motion can physically be played: bolted, hanging, with a guided pelvis or free.
 
-    That is contacts and skating of the feet, self-collision, centre of pressure, tilt and torques,
-    and the frames that forbid it; and whether `stream --support feet` can play it, or what else.
-    All of it is about what `stream` would play with the same --joints, --start and --duration.
+    It prints contacts and skating of the feet, self-collision, centre of pressure, tilt, torques
+    and the frames that forbid the motion. It also prints whether `stream --support feet` can play
+    the motion, or what it can play instead. It analyses the part that `stream` would play with the
+    same --joints, --start and --duration.
 
     Examples:
       g1stream physics dance.csv
       g1stream physics dance.csv --joints arms,waist --start 10 --json
 
     Exit codes:
-      0  printed, whatever the answer
+      0  printed, with any result
       2  bad input: not a motion
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
-    json: bool = flag(False, "Print what was found as JSON.")
+    json: bool = flag(False, "Print the results as JSON.")
 
     def run(self) -> int:
-        """Print what was found, and return the exit code."""
+        """Print the results, and return the exit code."""
         from g1stream.extras.physics.measure import motion_physics
         from g1stream.motion.check import check_motion
         from g1stream.motion.fit import require_si_units

@@ -1,7 +1,7 @@
-"""What `motion_physics` found about a motion, as records and as text.
+"""Results of `motion_physics` as records and as text.
 
-Field names are those of the JSON; units are part of them. Frames are counted from 0; spans of
-frames are inclusive.
+Field names are those of the JSON, with units. Frames are counted from 0, and spans of frames
+are inclusive.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 Playable = Literal["yes", "inexact", "no"]
-"""Whether a motion can be played; `inexact`: not as the motion has it."""
+"""Whether a motion can be played; `inexact`: with deviations from the motion."""
 
 Cause = Literal[
     "self-collision",
@@ -50,20 +50,20 @@ class Excess(Record, frozen=True):
     """A quantity that is beyond its limit in some frames.
 
     Attributes:
-        cause: self-collision: depth by which two links would be inside each other. torque: of a
-            joint. tilt: of the pelvis. floor contact: depth of another link than a foot below the
-            floor. support: force that nothing can exert, because no foot is on the floor, or
-            because the floor would have to pull. centre of pressure: distance from the support
-            polygon. friction: the coefficient that is needed. penetration: of a foot below the
-            floor. skating: speed of a foot on the floor.
+        cause: self-collision: penetration depth of two links. torque: of a joint. tilt: of the
+            pelvis. floor contact: depth of a link other than a foot below the floor. support: force
+            that no contact can exert, because no foot is on the floor, or because the floor would
+            have to pull. centre of pressure: distance outside of the support polygon. friction: the
+            coefficient that is needed. penetration: depth of a foot below the floor. skating: speed
+            of a foot on the floor.
         where: joint, links or foot of the worst value; empty for the whole robot.
-        worst, limit: in `unit`; of an excess that forbids the motion, in the stretches that do.
-        frame: of the worst value.
-        time_s: of that frame.
-        spans: first and last frame of each stretch beyond the limit; of an excess that forbids the
-            motion, those that do.
+        worst, limit: in `unit`; if the excess forbids the motion, within the spans that do.
+        frame: frame of the worst value.
+        time_s: time of that frame.
+        spans: first and last frame of each run beyond the limit; if the excess forbids the
+            motion, of the runs that do.
         longest_s: longest time that one joint, pair of links or foot is beyond it.
-        forbids: whether the motion cannot be played so; otherwise it is played, but not exactly.
+        forbids: whether the motion cannot be played; otherwise it is played with deviations.
     """
 
     cause: Cause
@@ -91,12 +91,12 @@ class Verdict(Record, frozen=True):
     """Whether a motion can be played with a support.
 
     Attributes:
-        support: how the pelvis is held; `feet`: not at all, by `stream --support feet`, which
+        support: how the pelvis is held; `feet`: on its feet with `stream --support feet`, which
             changes the motion.
-        excesses: what speaks against it, what forbids it first; none for `feet`.
-        changed: for `feet`: what is changed, or "as it is".
+        excesses: problems, those that forbid the motion first; none for `feet`.
+        changed: for `feet`: the changes, or "as it is".
         refused: for `feet`: why it cannot be played, and the frames.
-        instead: for `feet`: what can be played, as flags of `stream`, where that was looked for.
+        instead: for `feet`: what can be played instead, as flags of `stream`, if it was searched.
     """
 
     support: StreamSupport
@@ -108,7 +108,7 @@ class Verdict(Record, frozen=True):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def playable(self) -> Playable:
-        """`yes`; `no` where something forbids it; `inexact` where something else is against it."""
+        """`no` if an excess forbids it, `inexact` with other excesses, otherwise `yes`."""
         if self.refused or any(excess.forbids for excess in self.excesses):
             return "no"
         return "inexact" if self.excesses else "yes"
@@ -120,7 +120,7 @@ class Verdict(Record, frozen=True):
         harmless = [e.cause for e in self.excesses if not e.forbids]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []
         answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
-        # Nothing in the loop looks at where the mass centre is.
+        # Nothing in the loop controls the mass centre.
         how = "by a controller that balances" if self.support == "free" else self.changed
         return "; ".join(answers) or f"can be played {how}".rstrip()
 
@@ -129,14 +129,14 @@ class Foot(Record, frozen=True):
     """A foot on the floor at height 0.
 
     Attributes:
-        link: of the foot.
-        contact_share: of the frames in which one of its corners touches the floor.
-        height_mm: mean of its lowest corner above the floor, while one touches.
-        penetration_mm: depth of its lowest corner below the floor, at most, and where.
-        penetration_frame: of that depth.
-        skating_mm_s: mean horizontal speed of the corners that touch.
-        skating_max_mm_s: its highest.
-        skating_max_frame: of that speed.
+        link: link of the foot.
+        contact_share: fraction of the frames in which one of its corners touches the floor.
+        height_mm: mean height of its lowest corner above the floor while one touches.
+        penetration_mm: largest depth of its lowest corner below the floor.
+        penetration_frame: frame of that depth.
+        skating_mm_s: mean horizontal speed of the touching corners.
+        skating_max_mm_s: largest horizontal speed of the touching corners.
+        skating_max_frame: frame of that speed.
     """
 
     link: str
@@ -150,15 +150,15 @@ class Foot(Record, frozen=True):
 
 
 class Collision(Record, frozen=True):
-    """Two links that would be inside each other.
+    """Two links that penetrate each other.
 
     Attributes:
-        link, other: their names.
-        depth_mm: that the one would have to be moved until they only touch, at most.
-        frame: of that depth.
-        time_s: of that frame.
-        spans: first and last frame of each stretch in which they are inside each other.
-        simulated: whether Unitree's simulators, and ours, let these links collide.
+        link, other: names of the links.
+        depth_mm: largest distance that one must be moved until they only touch.
+        frame: frame of that depth.
+        time_s: time of that frame.
+        spans: first and last frame of each run in which they penetrate.
+        simulated: whether Unitree's simulators and g1stream's let these links collide.
     """
 
     link: str
@@ -171,15 +171,15 @@ class Collision(Record, frozen=True):
 
 
 class TorquePeak(Record, frozen=True):
-    """Where the motion takes the largest torque of a joint.
+    """The largest torque of a joint in a motion.
 
     Attributes:
-        joint: its name.
-        torque_nm: there, with its sign.
+        joint: name of the joint.
+        torque_nm: the torque, with its sign.
         limit_nm: the smaller of the motor's limit and the URDF's effort.
-        frame: of the peak.
-        time_s: of that frame.
-        frames: beyond the limit.
+        frame: frame of the peak.
+        time_s: time of that frame.
+        frames: number of frames beyond the limit.
     """
 
     joint: str
@@ -191,33 +191,34 @@ class TorquePeak(Record, frozen=True):
 
     @property
     def share(self) -> float:
-        """Of the limit."""
+        """Torque as a fraction of the limit."""
         return abs(self.torque_nm) / self.limit_nm
 
 
 class MotionPhysics(Record, frozen=True):
-    """What it would take to play a motion.
+    """The physics of a motion.
 
-    `str()` of it is the text that `g1stream physics` prints.
+    `str()` gives the text that `g1stream physics` prints.
 
     Attributes:
-        motion: its name.
-        first_frame, frames: which were looked at, and how many.
-        fps: of the motion.
+        motion: name of the motion.
+        first_frame, frames: first analysed frame, and their number.
+        fps: frame rate of the motion.
         robot: name of the model.
-        mass_kg: of the robot.
-        verdicts: by support, `feet` among them.
-        tilt_rad: of the pelvis in the motion, at most.
-        hanging_tilt_rad: of the pelvis of a robot that hangs at rest in a pose of the motion.
+        mass_kg: mass of the robot.
+        verdicts: by support, including `feet`.
+        tilt_rad: largest tilt of the pelvis in the motion.
+        hanging_tilt_rad: largest tilt of the pelvis if the robot hangs at rest in a pose of the
+            motion.
         feet: left and right.
-        supported_share: of the frames with a foot on the floor.
-        inside_share: of those in which the feet carry a fifth of the weight or more, with the
-            centre of pressure inside the support polygon; None where there are none.
-        margin_mm: from the centre of pressure to the edge of the polygon, at least; negative
-            outside; None as above.
-        margin_frame: of that margin.
+        supported_share: fraction of the frames with a foot on the floor.
+        inside_share: of the frames with at least a fifth of the weight on the feet, the fraction
+            with the centre of pressure inside the support polygon; None without such frames.
+        margin_mm: least distance from the centre of pressure to the edge of the polygon; negative
+            outside; None without such frames.
+        margin_frame: frame of that margin.
         collisions: the deepest first.
-        torques: by support, every joint, the largest share of its limit first.
+        torques: by support, every joint, the largest fraction of its limit first.
     """
 
     motion: str
@@ -252,28 +253,28 @@ class MotionPhysics(Record, frozen=True):
 
     @property
     def played(self) -> str:
-        """From when to when in the motion the frames are."""
+        """The time range of the frames in the motion."""
         last = self.first_frame + self.frames - 1
         return f"{self.first_frame / self.fps:.2f} to {last / self.fps:.2f} s of the motion"
 
     @property
     def pressure(self) -> str:
-        """Where the centre of pressure is, in a sentence; empty where nothing is on the feet."""
+        """The place of the centre of pressure, in a sentence; empty without weight on the feet."""
         if self.margin_mm is None or self.margin_frame is None:
             return ""
         side = "inside" if self.margin_mm >= 0 else "outside"
         return (
             f"inside the support polygon in {self.inside_share:.0%} of the frames with weight on a "
-            f"foot ({self.supported_share:.0%} have a foot on the floor); at worst, if only "
-            f"for a frame, {abs(self.margin_mm):.0f} mm {side}, at "
+            f"foot ({self.supported_share:.0%} have a foot on the floor); in the worst frame "
+            f"{abs(self.margin_mm):.0f} mm {side}, at "
             f"{self.margin_frame / self.fps:.2f} s"
         )
 
     @property
     def tilt(self) -> str:
-        """How far the pelvis leans, in a sentence."""
+        """The tilt of the pelvis, in a sentence."""
         return (
-            f"{self.tilt_rad:.2f} rad at most; {self.hanging_tilt_rad:.2f} rad where the robot "
+            f"at most {self.tilt_rad:.2f} rad; {self.hanging_tilt_rad:.2f} rad if the robot "
             "hangs at rest in a pose of the motion"
         )
 
@@ -329,9 +330,9 @@ class MotionPhysics(Record, frozen=True):
 
 
 def reasons(verdicts: Mapping[StreamSupport, Verdict]) -> list[tuple[str, Excess]]:
-    """Each excess once, what forbids a motion first, with the supports that it is about, named.
+    """Each excess once, those that forbid a motion first, with the names of its supports.
 
-    `any support`: all but `feet`, for which the motion is changed.
+    `any support` means all but `feet`, for which the motion is changed.
     """
     supports: dict[Excess, list[str]] = {}
     for support, verdict in verdicts.items():
@@ -348,9 +349,9 @@ def _line(label: str, text: str) -> str:
 
 
 def _rounded(value: float) -> str:
-    """Three digits, or the whole number."""
+    """The value with three digits, or as a whole number."""
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{round(value, 1) + 0.0:.1f}"  # never -0.0
+    return "" if value is None else f"{round(value, 1) + 0.0:.1f}"  # + 0.0 avoids -0.0

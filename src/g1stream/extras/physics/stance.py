@@ -1,10 +1,9 @@
-"""A reference that a robot on its feet can follow: feet that stand still, or step.
+"""A motion changed for a robot on its feet: the feet stand still, or step.
 
-Of a motion as it comes, even of one that means to stand, the feet slide by millimetres, sink into
-the floor and turn, and its centre of pressure may be outside of the soles. Here the feet are put
-flat on the floor (`footing`), the pelvis is moved sideways until the centre of pressure is inside
-the soles that stand, and the joints of the legs follow from both (`legs`). docs/feet.md has the
-method.
+In recorded motions the feet slide by millimetres even while standing, sink into the floor and turn,
+and the centre of pressure may be outside of the soles. Here the feet are put flat on the floor
+(`footing`), the pelvis is moved sideways until the centre of pressure is inside the standing soles,
+and the leg joints follow from both (`legs`). docs/feet.md describes the method.
 """
 
 from __future__ import annotations
@@ -36,40 +35,40 @@ from g1stream.types import Floats
 
 __all__ = ["Standing", "on_standing_legs", "stand", "stand_part"]
 
-#: Before and after a part the robot stands still for so long, s: what shall not be played does not
-#: say where the feet stand.
+#: Time for which the robot stands still before and after a part, s, because frames that are not
+#: played do not define where the feet stand.
 _STILL: Final = 0.5
-#: The pelvis is lowered by steps of the first, by the second at most, m.
+#: Step of lowering the pelvis, and its maximum, m.
 _LOWERED_BY, _LOWEST = 0.005, 0.15
-#: How far the centre of pressure is kept from the edge of the support polygon, m.
+#: Distance of the centre of pressure from the edge of the support polygon, m.
 _MARGIN: Final = 0.02
 #: The wrench of the floor is averaged with this standard deviation, s.
 _AVERAGED: Final = 0.05
-#: A centre of pressure this near to where it shall be is there, m, and attempts to get it there.
+#: Largest error of the centre of pressure, m, and the most iterations.
 _NEAR: Final = 0.002
 _ATTEMPTS: Final = 16
-#: A pelvis that is shifted with a greater acceleration slips, m/s².
+#: A pelvis shift with a larger acceleration slips, m/s².
 _SLIPS: Final = TRUSTED_FRICTION * GRAVITY
-#: Frames in which the pelvis would be shifted by less stay as they are, m.
+#: Frames with a smaller shift of the pelvis are not changed, m.
 _MOVED: Final = 1e-7
-#: Legs that do not play the motion are bent by this angle at hip and ankle, rad.
+#: Bend of hips and ankles of legs that do not play the motion, rad.
 _STANCE: Final = 0.35
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A motion that can be played on the feet, and what was changed for it.
+    """A motion that can be played on the feet, and its changes.
 
     Attributes:
-        motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
-        upper_body: the legs stand, because only waist and arms play the motion.
-        levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
-        moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
-        turned_deg: by how much a foot was turned at most.
+        motion: the changed motion, with flat feet on a floor at height 0 unless they are lifted.
+        upper_body: the legs only stand, because only waist and arms play the motion.
+        levelled_mm: largest distance of the lower foot from the floor, its usual height.
+        moved_mm: largest shift of a standing foot, relative to the point between both feet.
+        turned_deg: largest rotation of a foot.
         lowered_mm: by how much the pelvis was lowered over the feet.
-        shifted_mm: by how much it was moved sideways over the feet at most.
-        joint_deg: by how much the angle of a leg's joint was changed at most.
-        joint: which one.
+        shifted_mm: largest sideways shift of the pelvis over the feet.
+        joint_deg: largest change of a leg joint's angle.
+        joint: name of that joint.
     """
 
     motion: Motion = field(repr=False)
@@ -91,7 +90,7 @@ class Standing:
             ("pelvis shifted by up to", f"{self.shifted_mm:.0f}", " mm"),
             (f"{self.joint} turned by up to", f"{self.joint_deg:.1f}", "°"),
         )
-        # What is less than a millimetre or a tenth of a degree is no change.
+        # Changes below a millimetre or a tenth of a degree are not listed.
         changes = [f"{what} {size}{unit}" for what, size, unit in sizes if float(size)]
         how = ["on legs that stand"] if self.upper_body else []
         how += [f"with changes to stand: {', '.join(changes)}"] if changes else []
@@ -101,14 +100,14 @@ class Standing:
 def stand(
     motion: Motion, robot: G1, played: Flags | None = None, trajectory: Trajectory | None = None
 ) -> Standing:
-    """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
+    """Change a motion so that a robot can play it on its feet, which stand or step.
 
-    Without the legs among the joints that are `played` (29,), these stand (`on_standing_legs`);
-    with both, other joints keep the pose of the beginning.
+    If the `played` (29,) joints do not include the legs, the legs stand (`on_standing_legs`). If
+    they include both legs, other joints keep the initial pose.
     """
     if played is not None and 0 < np.count_nonzero(played[:LEGS]) < LEGS:
         raise ConfigError(
-            "On its feet, a robot needs both legs as a whole, and only some of their joints play.",
+            "On its feet, a robot needs all joints of both legs, but only some of them play.",
             "Select arms, waist, both legs or all joints (stream.joints).",
         )
     upper_body = played is not None and not played[:LEGS].any()
@@ -159,9 +158,9 @@ def stand_part(
     played: Flags | None = None,
     trajectory: Trajectory | None = None,
 ) -> Standing:
-    """Some frames of a motion as `stand` has them; before and after them the robot stands still.
+    """Some frames of a motion, changed by `stand`; the robot stands still before and after them.
 
-    The changed motion is as long as it was; an error has the numbers of its frames.
+    The changed motion keeps its length, and errors have its frame numbers.
     """
     if len(frames) == motion.n_frames:
         return stand(motion, robot, played, trajectory)
@@ -179,7 +178,7 @@ def stand_part(
 
 
 def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
-    """The motion of the joints that are `played` (29,), on legs that stand; others are at 0."""
+    """The motion of the `played` (29,) joints on standing legs; other joints are at 0."""
     pose = bent_legs(_STANCE)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (motion.n_frames, 1))
     soles = Soles(robot)
@@ -195,7 +194,7 @@ def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
 
 
 def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
-    """Raise CannotStandError where a leg's joint is beyond its limit: there it tilts the sole."""
+    """Raise CannotStandError if a leg joint is beyond its limit, which would tilt the sole."""
     pos = motion.joint_pos[:, :LEGS]
     lower, upper = robot.lower[:LEGS], robot.upper[:LEGS]
     beyond = np.maximum(lower - pos, pos - upper)
@@ -205,22 +204,22 @@ def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
 
 
 def _refuse_slipping(motion: Motion, shift: Floats) -> None:
-    """Raise CannotStandError where the pelvis is shifted (T, 2) with more than friction gives."""
+    """Raise CannotStandError if the pelvis's shift (T, 2) needs more than the friction."""
     acc = np.zeros(len(shift))
     acc[1:-1] = np.linalg.norm(np.diff(shift, 2, axis=0), axis=-1) * motion.fps**2
     if (slips := acc > _SLIPS).any():
         raise CannotStandError(
-            motion, "the feet slip, to keep the mass over them,", slips, slower=True
+            motion, "the feet slip when they keep the mass over them,", slips, slower=True
         )
 
 
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
     """The motion with its pelvis moved so that the centre of pressure is inside the soles.
 
-    A shift s of a mass at a height h, which is taken to be the pelvis's, moves the centre of
-    pressure by s - (h/g) s''. So a wanted shift of the
-    centre of pressure gives s as the solution of a tridiagonal system: the mass begins to move
-    before the centre of pressure has to. `trajectory` has the pelvis's attitude.
+    A shift s of the mass, assumed to be at the pelvis's height h, moves the centre of pressure by
+    s - (h/g) s''. A desired shift of the centre of pressure therefore gives s as the solution of a
+    tridiagonal system, in which the mass begins to move before the centre of pressure does.
+    `trajectory` has the pelvis's attitude.
     """
     from scipy.linalg import solveh_banded
 
@@ -253,14 +252,14 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         root[moved, :2] += shift[moved]
         motion = legs.reach(motion, root, moved)
     inside = round(1e3 * (_MARGIN - _NEAR))
-    why = f"the centre of pressure is not kept {inside} mm inside the soles"
+    why = f"the centre of pressure cannot be kept {inside} mm inside the soles"
     raise CannotStandError(motion, why, outside > _NEAR, slower=True)
 
 
 def _update_wrench(
     wrench: Floats, moved: Flags, trajectory: Trajectory, robot: G1, dynamics: BatchInverseDynamics
 ) -> None:
-    """Compute the force and the moment (T, 6) on the robot anew in frames that moved (T,)."""
+    """Update the force and the moment (T, 6) on the robot in frames that moved (T,)."""
     motion, frames = trajectory.motion, np.flatnonzero(moved)
     for first in range(0, len(frames), BLOCK):
         part = frames[first : first + BLOCK]
@@ -270,8 +269,8 @@ def _update_wrench(
         base = point.root_ang_vel, point.root_ang_acc, point.root_lin_acc
         load = dynamics.batch(poses, point.joint_vel, point.joint_acc).follow(*base)
         force, moment = load.force, load.moment
-        # The arms do not follow a jump, and what they do not do pushes nothing. A joint that the
-        # robot lacks has a limit of 0.
+        # Torque limits bound the acceleration of the arms in a jump. A joint that the robot
+        # lacks has a limit of 0.
         excess = (np.abs(load.tau) / np.maximum(robot.torque_limit, 1.0))[:, LEGS:].max(axis=1)
         if (jump := excess > 1.0).any():
             possible = point.joint_acc[jump]
@@ -284,11 +283,11 @@ def _update_wrench(
 
 
 def _pressure(wrench: Floats, fps: float, legs: Legs) -> tuple[Floats, Floats]:
-    """The centre of pressure (T, 2), m, and how far it is from where it shall be (T,), m.
+    """The centre of pressure (T, 2), m, and its distance from where it must be (T,), m.
 
-    It is that of the wrench (T, 6) as it is or averaged, whichever is nearer: a jump of a frame or
-    two, which retargeting leaves in the arms, is over before anything tips. Where a foot is lifted
-    or comes back, the average lags. Infinitely far it is where the floor does not push.
+    It is that of the wrench (T, 6) or of its average, whichever is closer, because a jump of a
+    frame or two, which retargeting leaves in the arms, is too short to tip the robot. The average
+    lags where a foot is lifted or lands. The distance is infinite if the floor does not push.
     """
     from scipy.ndimage import gaussian_filter1d
 

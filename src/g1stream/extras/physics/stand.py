@@ -1,4 +1,4 @@
-"""A motion as a robot on its own feet can play it, or why not and what instead."""
+"""Check whether a motion can be played on the feet, and find alternatives."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from g1stream.robot.model import G1
 
 __all__ = ["find_instead", "stand", "stand_or_explain"]
 
-#: The joints that almost any motion can be played with, on legs that stand.
+#: Joints with which almost any motion can be played on standing legs.
 _UPPER_BODY: Final = "arms,waist"
-#: No part is shorter, s. Frames this near to one that forbids a part are not in it, s.
+#: Shortest part, s, and distance of a part from frames that forbid it, s.
 _LEAST, _NEAR = 1.0, 0.1
-#: Each try takes a check; a dance of two minutes needs 43.
+#: Most checks in a search; a dance of two minutes needs 43.
 _TRIES: Final = 60
-#: A part in which no joint moves by more is not worth playing, rad.
+#: Least movement of a joint in a part, rad.
 _MOVES: Final = 0.05
-#: Speeds that are tried where a motion is too fast.
+#: Speeds that are tried if a motion is too fast.
 _SPEEDS: Final = (0.7, 0.5, 0.25)
 
 
 def stand(
     motion: Motion | str | Path, joints: str | None = None, robot: G1 | None = None
 ) -> Standing:
-    """A motion as a robot on its feet can play it: its feet stand, or step one at a time.
+    """Change a motion so that a robot can play it on its feet, which stand or step.
 
-    `stream` and `rollout` do so with support feet. docs/feet.md says what is changed.
+    `stream` and `rollout` do this with support feet. docs/feet.md describes the changes.
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        joints: those that play it, such as "arms,waist", on legs that stand; all if None.
+        joints: joints that play it, such as "arms,waist", on standing legs; all if None.
         robot: the G1; the default one if None.
 
     Raises:
-        ConfigError: there are no such joints, some of the legs are given, and others are not, or
-            the robot lacks joints.
-        MotionError: it cannot be played on the feet; the remedy names what can.
-        RobotError: the soles of this robot are not known.
+        ConfigError: there are no such joints, only some joints of the legs are given, or the
+            robot lacks joints.
+        MotionError: it cannot be played on the feet; the remedy gives alternatives.
+        RobotError: the robot's soles are unknown.
     """
     robot = robot or G1.default()
     if not isinstance(motion, Motion):
@@ -58,10 +58,10 @@ def stand(
 
 
 def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) -> Standing:
-    """Some frames of a motion, `played` by joints (29,); errors are those of `stand`."""
+    """Change some frames of a motion with `played` joints (29,); errors are those of `stand`."""
     if not robot.present.all():
         raise ConfigError(
-            f"A robot on its feet needs all 29 joints, and {robot.name} has "
+            f"A robot on its feet needs all 29 joints, but {robot.name} has "
             f"{np.count_nonzero(robot.present)}.",
             "Give another robot, or hold it otherwise.",
         )
@@ -77,12 +77,12 @@ def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) ->
 def find_instead(
     motion: Motion, robot: G1, frames: range, refused: CannotStandError, played: Flags | None = None
 ) -> str:
-    """What can be played on the feet instead of some frames: slower, a part, or arms and waist.
+    """Alternatives that can be played on the feet: slower, a part, or arms and waist.
 
-    That it stands has been tried. It is said with the flags of `stream`; empty if nothing is found.
+    They have been checked, and are given as flags of `stream`; empty without an alternative.
     """
     ways = []
-    whole = len(frames) == motion.n_frames  # of a part, the seconds would be others, too
+    whole = len(frames) == motion.n_frames  # a slower part would have other times
     for speed in _SPEEDS if refused.slower and whole else ():
         if not _refusal(motion.at_speed(speed), robot, frames, played):
             ways.append(f"play it at {speed:g} times this speed (--speed)")
@@ -111,9 +111,9 @@ def _refusal(
 def _longest_part(
     motion: Motion, robot: G1, frames: range, forbidden: Flags, played: Flags | None
 ) -> str:
-    """Flags of the longest part that is found, in hundredths of a second; empty if there is none.
+    """Flags of the longest part found, in hundredths of a second; empty without one.
 
-    Where a foot stands is an average over a part, so that a longer one may exist.
+    The place of a foot is an average over a part, so a longer part may exist.
     """
     near = max(1, round(_NEAR * motion.fps))
     playing = motion.joint_pos if played is None else motion.joint_pos[:, played]

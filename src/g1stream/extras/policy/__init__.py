@@ -1,1 +1,1 @@
-"""Learned policies: what one takes and gives, and its commands."""
+"""Learned policies: inputs and outputs, streaming, and analysis of their steps."""

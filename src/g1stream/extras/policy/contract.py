@@ -1,8 +1,8 @@
-"""What a policy takes and gives, and where each fact came from.
+"""A policy's contract: its inputs and outputs, and the source of each fact.
 
-Facts come from, the first that has one: a TOML file beside the policy, the metadata of the ONNX
-file (whole_body_tracking and mjlab; holosoma), Unitree's deploy.yaml beside it. A fact that none
-has is asked for, with the line to write into the TOML file; docs/policy.md lists them.
+A fact comes from the first of these sources that has it: a TOML file beside the policy, the
+metadata of the ONNX file (whole_body_tracking and mjlab; holosoma), Unitree's deploy.yaml beside
+it. If none has it, an error shows the line to write to the TOML file; docs/policy.md lists them.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from g1stream.types import Floats
 __all__ = ["PolicyContract", "Term", "read_contract", "recorded_contract"]
 
 _LABEL: Final = 16
-#: Above these no policy of a G1 has one: N·m/rad, N·m·s/rad, rad for an action of 1.
+#: Larger values are an error: N·m/rad, N·m·s/rad, and rad for an action of 1.
 _MOST: Final = {"kp": 500.0, "kd": 50.0, "action_scale": 5.0}
-#: What to write for a fact that is missing.
+#: The line to write for a missing fact.
 _LINES: Final = {
     "rate": "rate = 50.0",
     "joint_names": 'joint_names = ["left_hip_pitch_joint", ...]',
@@ -42,10 +42,10 @@ _LINES: Final = {
     "action_scale": 'action_scale = { "*" = 0.25 }',
     "kp": 'kp = { "*_knee_joint" = 99.1, ... }',
     "kd": 'kd = { "*_knee_joint" = 6.3, ... }',
-    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 where it is not 1',
+    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 if it is not 1',
     "anchor": 'anchor = "torso_link"',
 }
-#: What need not be told: no limit, and no step.
+#: Facts with a default: no limit, and no lag.
 _OPTIONAL: Final = ("clip", "lag")
 
 
@@ -53,11 +53,11 @@ class Term(Record, frozen=True):
     """A part of the observation.
 
     Attributes:
-        name: that of `TERMS`.
-        named: in the file.
-        size: of it.
-        scale: factor, one for all or one for each of its values.
-        formula: in words; the frame is part of it.
+        name: name in `TERMS`.
+        named: name in the file.
+        size: number of values.
+        scale: factor for all values, or one for each value.
+        formula: formula in words, including the frame.
     """
 
     name: str
@@ -68,20 +68,20 @@ class Term(Record, frozen=True):
 
 
 class PolicyContract(Record, frozen=True):
-    """What a policy takes and gives. Arrays are in its own order of joints, `joint_names`.
+    """The inputs and outputs of a policy. Arrays are in the policy's joint order, `joint_names`.
 
     A target is `default_pos + action_scale * action`, rad, with `kp`, N·m/rad, and `kd`,
     N·m·s/rad.
 
     Attributes:
-        path: of the ONNX file.
+        path: path of the ONNX file.
         rate: steps per second.
-        terms: of the observation, in order.
+        terms: terms of the observation, in order.
         clip: largest magnitude of a value of the observation; None without a limit.
-        anchor: the link whose attitude is compared with the reference's; None where no term does.
-        reference: the motion that is tracked: the network's own, one that is given, or none.
-        lag: steps by which the reference that is observed is behind the present one.
-        origin: by field, where it came from.
+        anchor: link whose attitude is compared with the reference's; None if no term needs it.
+        reference: source of the tracked motion: the network itself, a given motion, or none.
+        lag: number of steps by which the observed reference is behind the current one.
+        origin: source of each field.
     """
 
     path: str
@@ -111,13 +111,13 @@ class PolicyContract(Record, frozen=True):
 
     def __str__(self) -> str:
         width = sum(term.size for term in self.terms)
-        isaac = "motor order" if self.joint_names == list(JOINT_NAMES) else "an order of its own"
+        isaac = "motor order" if self.joint_names == list(JOINT_NAMES) else "another order"
         facts = {
             "policy": self.path,
             "rate": f"{self.rate:g} Hz",
             "tracks": {
-                "in the policy": "the motion that it holds",
-                "a motion": "a motion that is given",
+                "in the policy": "the motion in the policy",
+                "a motion": "a given motion",
                 "none": "no motion: it follows a commanded velocity, or stands",
             }[self.reference]
             + (f", {counted(self.lag, 'step')} behind" if self.lag else ""),
@@ -145,14 +145,14 @@ class PolicyContract(Record, frozen=True):
 
 
 class _Facts(NamedTuple):
-    """Values by the names of `PolicyContract`, and where they came from."""
+    """Values by the names of `PolicyContract`, and their source."""
 
     where: str
     values: dict[str, Any]
 
 
 def recorded_contract(info: PolicyInfo | None) -> PolicyContract | None:
-    """The contract that a session has of its policy; None where it has none that can be read."""
+    """The contract in a session; None if it has no readable one."""
     try:
         return PolicyContract.model_validate(info.contract if info else {})
     except ValidationError:
@@ -160,14 +160,14 @@ def recorded_contract(info: PolicyInfo | None) -> PolicyContract | None:
 
 
 def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
-    """The contract of a policy.
+    """Read the contract of a policy.
 
     Args:
-        network: of it.
-        robot: whose limits its default pose must keep; the default one if None.
+        network: the policy's network.
+        robot: robot whose limits the default pose must keep; the default one if None.
 
     Raises:
-        ConfigError: a fact is missing or wrong, or the facts do not fit each other.
+        ConfigError: a fact is missing or wrong, or facts contradict each other.
     """
     path, robot = network.path, robot or G1.default()
     values: dict[str, Any] = {}
@@ -183,8 +183,8 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     missing = [name for name in needed if name not in values]
     if missing:
         raise ConfigError(
-            f"Of {where} is not known: {', '.join(missing)}.",
-            f"Write into {_beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
+            f"Facts of {where} are missing: {', '.join(missing)}.",
+            f"Write to {_beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
         )
     named = values["joint_names"]
     names = [str(name) for name in (named if isinstance(named, list) else [named])]
@@ -224,29 +224,29 @@ def _beside(path: Path) -> Path:
 
 
 def _sources(network: Network) -> Iterator[_Facts]:
-    """What each source says, the first before the others."""
+    """The facts of each source, in order of priority."""
     own, told = _beside(network.path), "metadata of the ONNX file"
     if own.exists():
         yield _facts(str(own), lambda: _of_toml(own))
     if "observation_names" in network.metadata:
         yield _facts(told, lambda: _of_tracking(network.metadata))
-        yield _Facts("assumed, as whole_body_tracking and mjlab train", {"rate": 50.0})
+        yield _Facts("assumed: default of whole_body_tracking and mjlab", {"rate": 50.0})
     elif "dof_names" in network.metadata:
         yield _facts(told, lambda: _of_holosoma(network.metadata))
     deploy = network.path.with_name("deploy.yaml")
     if deploy.exists():
         yield _facts(str(deploy), lambda: _of_deploy(deploy))
-        yield _Facts("assumed, as Unitree's runner", {"anchor": "torso_link"})
+        yield _Facts("assumed: default of Unitree's runner", {"anchor": "torso_link"})
 
 
 def _facts(where: str, read: Callable[[], dict[str, Any]]) -> _Facts:
-    """What a reader of a source says; the source may hold anything."""
+    """The facts that a reader finds in a source, which may have any content."""
     try:
         return _Facts(where, read())
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise ConfigError(
-            f"What a policy needs cannot be read from {where}: {str(error)[:100]}.",
-            "Give it as the training wrote it, or write the facts into a TOML file beside it.",
+            f"The facts of the policy cannot be read from {where}: {str(error)[:100]}.",
+            "Give the original file of the training, or write the facts to a TOML file beside it.",
         ) from error
 
 
@@ -255,14 +255,14 @@ def _of_toml(path: Path) -> dict[str, Any]:
     unknown = sorted(set(values) - set(_LINES) - set(_OPTIONAL))
     if unknown:
         raise ConfigError(
-            f"{path} has {listed(unknown)}, which is no fact of a policy.",
+            f"{path} has the unknown keys {listed(unknown)}.",
             f"Choose from {', '.join([*_LINES, *_OPTIONAL])}.",
         )
     terms = values.get("terms")
     if terms is not None:
         if not (isinstance(terms, list) and all(isinstance(t, dict) for t in terms)):
             raise ConfigError(
-                f"In {path}, terms is no list of tables.", f"Write {_LINES['terms']}."
+                f"In {path}, terms is not a list of tables.", f"Write {_LINES['terms']}."
             )
         if extra := sorted({key for term in terms for key in term} - {"name", "scale"}):
             raise ConfigError(f"A term in {path} has {listed(extra)}.", f"Write {_LINES['terms']}.")
@@ -271,7 +271,7 @@ def _of_toml(path: Path) -> dict[str, Any]:
 
 
 def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Of whole_body_tracking and mjlab: comma-separated lists."""
+    """Facts from whole_body_tracking and mjlab, in comma-separated lists."""
 
     def split(key: str) -> list[str] | None:
         return metadata[key].split(",") if metadata.get(key) else None
@@ -293,10 +293,10 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Of holosoma: values in JSON, and the configuration of the training where it is included.
+    """Facts from holosoma: JSON values, and the training configuration if it is included.
 
-    Its terms are sorted by name. An action of 1 moves a target by `action_scale` of the deflection
-    at which the servo reaches the joint's torque limit, where the configuration says so.
+    The terms are sorted by name. If the configuration says so, an action of 1 moves a target by
+    `action_scale` times the deflection at which the servo reaches the joint's torque limit.
     """
     read = {key: _json(metadata.get(key)) for key in ("dof_names", "kp", "kd")}
     facts: dict[str, Any] = {"joint_names": read["dof_names"], "kp": read["kp"], "kd": read["kd"]}
@@ -309,7 +309,7 @@ def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
         if (_at(group, "history_length") or 1) > 1:
             raise _history("the training configuration in the ONNX file")
         facts["terms"] = [(name, _scale(terms[name])) for name in sorted(terms)]
-    # Its runner reads the reference of the next step after it has observed.
+    # Its runner reads the reference of the next step after the observation.
     facts["lag"] = 1
     facts["clip"] = _at(config, "observation", "clip_observations")
     facts["default_pos"] = _at(config, "robot", "init_state", "default_joint_angles")
@@ -331,7 +331,7 @@ def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _of_deploy(path: Path) -> dict[str, Any]:
-    """Of Unitree's deploy.yaml, as its C++ runner reads it."""
+    """Facts from Unitree's deploy.yaml, interpreted as in its C++ runner."""
     import yaml
 
     try:
@@ -339,7 +339,7 @@ def _of_deploy(path: Path) -> dict[str, Any]:
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(
             f"{path} cannot be read: {' '.join(str(error).split())[:200]}.",
-            "Give it as Unitree's training writes it, or remove it.",
+            "Give the file as Unitree's training writes it, or remove it.",
         ) from error
     period = _at(values, "step_dt")
     action = _at(values, "actions", "JointPositionAction")
@@ -365,7 +365,7 @@ def _of_deploy(path: Path) -> dict[str, Any]:
 
 
 def _in_order(values: Any, motors: Any) -> Any:
-    """Values by motor as those of the policy's joints: deploy.yaml has gains by motor."""
+    """Reorder values by motor to the policy's joints, because deploy.yaml has gains by motor."""
     if isinstance(values, list) and isinstance(motors, list) and len(values) >= len(motors):
         return [values[motor] for motor in motors]
     return values
@@ -376,7 +376,7 @@ def _json(text: str | None) -> Any:
 
 
 def _at(values: Any, *keys: str) -> Any:
-    """What nested tables have there; None where they have nothing."""
+    """The value at nested keys; None if there is none."""
     for key in keys:
         values = values.get(key) if isinstance(values, dict) else None
     return values
@@ -389,7 +389,7 @@ def _scale(term: Any) -> Any:
 
 def _history(where: str) -> ConfigError:
     return ConfigError(
-        f"By {where}, the policy observes several steps at once, which is not supported.",
+        f"According to {where}, the policy observes several steps at once, which is not supported.",
         "Give a policy with a history length of 1.",
     )
 
@@ -399,16 +399,16 @@ def _term(named: str, scale: Any, where: str) -> Term:
     if name not in TERMS:
         raise ConfigError(
             f"The observation of {where} has the unknown term {named!r}.",
-            f"Known are {', '.join(TERMS)}.",
+            f"Known terms are {', '.join(TERMS)}.",
         )
     size, formula, _ = TERMS[name]
     values = scale if isinstance(scale, list) else [scale]
     factors = [_number(value, f"scale of {named}", where) for value in values]
     if len(factors) not in (1, size):
         raise ConfigError(
-            f"In {where}, the term {named} has {counted(size, 'value')} and "
+            f"In {where}, the term {named} has {counted(size, 'value')} but "
             f"{counted(len(factors), 'scale')}.",
-            "Give one scale, or one for each value.",
+            "Give one scale, or a scale for each value.",
         )
     return Term(name=name, named=named, size=size, scale=factors, formula=formula)
 
@@ -426,7 +426,7 @@ def _number(value: Any, name: str, where: str) -> float:
 def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
     return ConfigError(
         f"In {where}, {name} is {str(value)[:60]}.",
-        f"It must be {valid}; what the TOML file beside the policy has comes first.",
+        f"It must be {valid}. A TOML file beside the policy overrides it.",
     )
 
 
@@ -434,35 +434,35 @@ def _check_joints(names: list[str], network: Network, where: str) -> None:
     strange = [name for name in names if name not in JOINT_NAMES]
     if strange:
         raise ConfigError(
-            f"{where[0].upper()}{where[1:]} is one of another robot: a G1 has no "
+            f"{where[0].upper()}{where[1:]} is for another robot: a G1 has no "
             f"{listed(strange, 3)}.",
-            f"Give a policy of a G1 with {N_JOINTS} joints.",
+            f"Give a policy for a G1 with {N_JOINTS} joints.",
         )
     if sorted(names) != sorted(JOINT_NAMES) or network.n_actions != N_JOINTS:
         raise ConfigError(
-            f"{where[0].upper()}{where[1:]} names {counted(len(set(names)), 'joint')} and has "
+            f"{where[0].upper()}{where[1:]} names {counted(len(set(names)), 'joint')} but has "
             f"{counted(network.n_actions, 'action')}.",
-            f"Give a policy that moves each of the {N_JOINTS} joints of a G1 once.",
+            f"Give a policy with one action for each of the {N_JOINTS} joints of a G1.",
         )
 
 
 def _joint_values(given: Any, names: list[str], what: str, where: str) -> Floats:
-    """A value for each of the policy's joints, of a list or of a table of names and patterns."""
+    """A value for each of the policy's joints, from a list or a table of names and patterns."""
     if isinstance(given, dict):
         found = np.full(len(names), np.nan)
         for pattern, value in given.items():
             matching = [fnmatchcase(name, pattern) for name in names]
             if not any(matching):
                 raise ConfigError(
-                    f"In {where}, {what} names {pattern}, which is no joint.",
-                    'Give joints, or patterns such as "*_knee_joint".',
+                    f"In {where}, {what} names {pattern}, which is not a joint.",
+                    'Give joint names, or patterns such as "*_knee_joint".',
                 )
             found[matching] = _number(value, what, where)
         if np.isnan(found).any():
             lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
             raise ConfigError(
                 f"In {where}, {what} has no value for {listed(lacking, 3)}.",
-                'Give one, or one for all others first: "*" = 0.0.',
+                'Give one, or a default for all others first: "*" = 0.0.',
             )
         return found
     values = given if isinstance(given, list) else [given]
@@ -472,7 +472,7 @@ def _joint_values(given: Any, names: list[str], what: str, where: str) -> Floats
         raise ConfigError(
             f"In {where}, {what} has {counted(len(values), 'value')} for "
             f"{counted(len(names), 'joint')}.",
-            f"Write into the TOML file beside it: {_LINES[what]}.",
+            f"Write to the TOML file beside it: {_LINES[what]}.",
         )
     return np.array([_number(value, what, where) for value in values])
 
@@ -497,7 +497,7 @@ def _check_ranges(arrays: Mapping[str, Floats], names: list[str], robot: G1, whe
 
 
 def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
-    """Whether the terms are as wide as the network's input; otherwise, which terms may differ."""
+    """Raise if the width of the terms differs from the network's input; suggest terms."""
     total = sum(term.size for term in terms)
     if total == network.width:
         return
@@ -511,9 +511,9 @@ def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
         for some in combinations(candidates, number)
         if sum(map(size, some)) == abs(network.width - total)
     ]
-    guess = f" As wide as the difference: {listed(fitting, 4)}." if fitting else ""
+    guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
     raise ConfigError(
-        f"The network of {where} takes {network.width} values, and the terms that are named have "
+        f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",
-        f"Name the terms that it was trained with, in the TOML file beside it.{guess}",
+        f"Give the terms of the training in the TOML file beside it.{guess}",
     )

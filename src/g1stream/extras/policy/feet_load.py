@@ -1,4 +1,4 @@
-"""How much of the weight the feet carry, by the torques of the legs; pure."""
+"""The fraction of the weight on the feet, estimated from leg torques."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 __all__ = ["FeetLoad"]
 
-#: (2, 6) of each leg.
+#: (2, 6) motor indices of each leg.
 _JOINTS: Final = np.array([JOINT_GROUPS[f"{side}_leg"] for side in SIDES])
-#: By how much a joint is turned, to find out how far that lifts the foot, rad.
+#: Joint angle step for the derivative of the foot's height, rad.
 _TURN: Final = 1e-4
 
 
 class FeetLoad:
-    """The share of the weight that the feet of a robot at rest carry.
+    """Estimates the fraction of the weight on the feet of a robot at rest.
 
-    At rest, motor torques tau, gravity's torques g and a vertical force F on a foot at the height
-    z balance: tau + F dz/dq = g. The joints of each leg give its force by least squares.
+    At rest, motor torques tau, gravity torques g and a vertical force F on a foot at height z
+    balance: tau + F dz/dq = g. Least squares over the joints of each leg gives its force.
     """
 
     def __init__(self, robot: G1) -> None:
@@ -34,7 +34,7 @@ class FeetLoad:
         self._weight = self._dynamics.mass * self._dynamics.gravity
 
     def share(self, measured: Reading) -> float:
-        """Of both feet together: 0 in the air, and 1 where nothing else carries the robot."""
+        """Fraction for both feet together: 0 in the air, 1 if nothing else supports the robot."""
         q, quat = (values.astype(np.float64) for values in (measured.q, measured.imu.quat_wxyz))
         rest = np.zeros(N_JOINTS)
         gravity = self._dynamics.solve("bolted", q, rest, rest, BaseMotion(quat, np.zeros(3))).tau

@@ -1,4 +1,4 @@
-"""What a policy does where the reference is tracked perfectly, before anything moves."""
+"""Check of a policy's first actions with a perfectly tracked reference."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ if TYPE_CHECKING:
 
 __all__ = ["FirstActions", "first_actions", "held_frame"]
 
-#: Of the motion, s.
+#: Checked length of the motion, s.
 _LENGTH: Final = 5.0
-#: RMS by which the motion in a policy may differ from the one that is given, rad.
+#: Largest RMS difference between the motion in a policy and the given motion, rad.
 _SAME: Final = 0.05
-#: RMS distance of targets from the reference, rad, above which something is wrong: at rest, and for
-#: each rad/s (RMS) of the reference. In 5 s parts of a dance two trackers of others have 0.19 to
-#: 0.48 rad, at most 0.95 of this limit; a wrong order, term or scale has 0.4 to 2.6 rad.
+#: Largest plausible RMS distance of targets from the reference, rad: at rest, and for each rad/s
+#: (RMS) of the reference. In 5 s parts of a dance two published trackers have 0.19 to 0.48 rad, at
+#: most 0.95 of this limit. A wrong order, term or scale gives 0.4 to 2.6 rad.
 _FAR: Final = 0.35, 0.15
 _ORIGIN: Final = np.zeros(3)
 _UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class FirstActions(Record, frozen=True):
-    """Targets of the first steps of a motion that is tracked perfectly.
+    """Targets of the first steps of a perfectly tracked motion.
 
     Attributes:
-        steps: of the policy.
-        rms_rad: of the distance of a target from the reference, all joints.
-        worst_rad: the largest one.
-        worst_joint: whose it is.
-        worst_time_s: and when.
-        beyond_limits: share of the targets beyond a joint's limits.
-        problem: why it is not to be played; empty where nothing is wrong.
+        steps: number of policy steps.
+        rms_rad: RMS distance of the targets from the reference, over all joints.
+        worst_rad: largest distance.
+        worst_joint: joint of the largest distance.
+        worst_time_s: time of the largest distance.
+        beyond_limits: fraction of the targets beyond joint limits.
+        problem: reason not to play it; empty without a problem.
     """
 
     steps: int
@@ -74,26 +74,27 @@ class FirstActions(Record, frozen=True):
 def first_actions(
     contract: PolicyContract, network: Network, robot: G1, motion: Motion | None = None
 ) -> FirstActions | None:
-    """The first five seconds of a motion with the robot where the reference is.
+    """Run the policy for the first five seconds of a motion with the robot at the reference.
 
     Args:
-        contract: of the policy.
-        network: of the policy.
+        contract: the policy's contract.
+        network: the policy's network.
         robot: the robot.
-        motion: that is to be tracked; None for the one that the policy holds.
+        motion: the motion to track; None for the motion in the policy.
 
     Returns:
-        None where no motion is known.
+        None if there is no motion.
 
     Raises:
-        ConfigError: the policy tracks no motion, or holds another one; or an action is not finite.
-        MotionError: the motion has no sample at the rate of the policy.
+        ConfigError: the policy tracks no motion, or contains another motion; or an action is not
+            finite.
+        MotionError: the motion has no sample at the policy's rate.
     """
     if contract.reference == "none":
         if motion is None:
             return None
         raise ConfigError(
-            f"The policy {contract.path} tracks no motion: it observes none.",
+            f"The policy {contract.path} tracks no motion: it does not observe one.",
             "Give a policy whose observation has motion_command.",
         )
     frames = None
@@ -111,13 +112,13 @@ def first_actions(
 
 
 def held_frame(contract: PolicyContract, network: Network, step: int) -> ReferenceFrame:
-    """The reference of a step, of the motion that a policy holds."""
+    """The reference of a step from the motion in a policy."""
     out = {
         name: value.astype(np.float64)
         for name, value in network.run(np.zeros(network.width), step).items()
     }
     joint_pos, joint_vel = map(contract.in_motor_order, (out["joint_pos"], out["joint_vel"]))
-    if {"ref_pos_xyz", "ref_quat_xyzw"} <= out.keys():  # of holosoma
+    if {"ref_pos_xyz", "ref_quat_xyzw"} <= out.keys():  # holosoma
         pose = Pose(out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"]))
         return ReferenceFrame(joint_pos, joint_vel, pose)
     bodies = network.metadata.get("body_names", "").split(",")
@@ -125,7 +126,7 @@ def held_frame(contract: PolicyContract, network: Network, step: int) -> Referen
     if not {"body_pos_w", "body_quat_w"} <= out.keys() or link not in bodies:
         raise ConfigError(
             f"The motion in {contract.path} has no pose of {link}.",
-            "Export the policy again, with body_names among its metadata.",
+            "Export the policy again, with body_names in its metadata.",
         )
     anchor = bodies.index(link)
     pose = Pose(out["body_pos_w"][anchor], out["body_quat_w"][anchor])
@@ -150,16 +151,16 @@ def _check_same(
     difference = float(np.sqrt(np.mean((ours - theirs) ** 2)))
     if difference > _SAME:
         raise ConfigError(
-            f"The policy {contract.path} holds another motion: it differs by {difference:.2f} rad "
-            "(RMS) in the first seconds.",
-            "Give the motion that it was trained for, or none.",
+            f"The policy {contract.path} contains another motion: it differs by "
+            f"{difference:.2f} rad (RMS) in the first seconds.",
+            "Give the motion of the training, or none.",
         )
 
 
 def _states(
     contract: PolicyContract, robot: G1, frames: Sequence[ReferenceFrame]
 ) -> list[RobotState]:
-    """The robot where the reference is, its velocities by differences."""
+    """The robot at the reference, with velocities from differences."""
     joint_pos = np.array([frame.joint_pos for frame in frames])
     local = anchor_poses(contract, robot, joint_pos, _ORIGIN, _UPRIGHT)
     pelvis = []
@@ -198,7 +199,7 @@ def _targets(
         if not np.isfinite(action).all():
             raise ConfigError(
                 f"The policy {contract.path} gives an action that is not finite at step {step}.",
-                "Look at its terms, scales and metadata; it cannot be played.",
+                "The policy cannot be played; check its terms, scales and metadata.",
             )
         observer.last_action = action
         targets.append(contract.in_motor_order(default + scale * action))
@@ -214,9 +215,9 @@ def _compared(
     speed = float(np.sqrt(np.mean(np.square([frame.joint_vel for frame in frames]))))
     most = _FAR[0] + _FAR[1] * speed
     problem = (
-        f"targets are {rms:.2f} rad (RMS) from a reference that is tracked perfectly, more than "
-        f"{most:.2f}: the motion is not what it was trained for, or a term, the order of the "
-        "joints, a scale or the default pose is wrong"
+        f"targets are {rms:.2f} rad (RMS) from a perfectly tracked reference, more than "
+        f"{most:.2f}: the motion is not that of the training, or a term, the joint order, "
+        "a scale or the default pose is wrong"
     )
     return FirstActions(
         steps=len(targets),

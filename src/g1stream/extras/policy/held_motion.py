@@ -1,4 +1,4 @@
-"""The motion that a policy holds, as a motion file."""
+"""Reader for the motion that a policy contains."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 __all__ = ["HeldMotion"]
 
-#: No policy holds a longer motion, frames.
+#: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
 _ORIGIN: Final = np.zeros(3)
 _UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class HeldMotion:
-    """An ONNX file whose outputs by time_step are a motion: a `MotionReader`.
+    """A `MotionReader` of an ONNX file whose outputs by time_step are a motion.
 
     Raises:
-        MotionError: it holds none.
+        MotionError: it contains no motion.
         ConfigError: it is no policy.
     """
 
@@ -42,8 +42,8 @@ class HeldMotion:
         self._contract = read_contract(self._network, self._robot)
         if self._contract.reference != "in the policy":
             raise MotionError(
-                f"The policy {file.path.name} holds no motion.",
-                "Give the file of the motion that it was trained for.",
+                f"The policy {file.path.name} contains no motion.",
+                "Give the file of the motion from the training.",
             )
 
     @property
@@ -60,7 +60,7 @@ class HeldMotion:
         frames = [held_frame(contract, network, step) for step in range(self._length())]
         joint_pos = np.array([frame.joint_pos for frame in frames])
         pos, quat = (np.array(values) for values in zip(*(f.anchor for f in frames), strict=True))
-        # The anchor's pose in the pelvis's frame says where the pelvis is.
+        # The pelvis's pose follows from the anchor's pose in the pelvis's frame.
         below = anchor_poses(contract, self._robot, joint_pos, _ORIGIN, _UPRIGHT)
         offset, turn = (np.array(values) for values in zip(*below, strict=True))
         pelvis = quat_mul(quat, quat_conj(turn))
@@ -75,7 +75,7 @@ class HeldMotion:
         )
 
     def _length(self) -> int:
-        """The number of frames: from the last one on, they are all alike."""
+        """Number of frames. All later frames equal the last one."""
         last, least, most = self._at(_LONGEST), 1, _LONGEST
         while least < most:
             middle = (least + most) // 2

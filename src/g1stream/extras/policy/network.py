@@ -1,4 +1,4 @@
-"""A policy's network: an ONNX file, run by onnxruntime on one thread."""
+"""A policy's network: an ONNX file, executed by onnxruntime on one thread."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from g1stream.types import Floats
 
 __all__ = ["Network"]
 
-#: Bytes of a file with its external data: a policy has some hundred thousand weights.
+#: Largest file with its external data, bytes; a policy has some hundred thousand weights.
 _LARGEST: Final = 256 * 2**20
 
 
 class Network:
-    """A network with an observation and perhaps a time step as inputs, and an action.
+    """A network from an observation, and maybe a time step, to an action.
 
     Args:
-        path: of the ONNX file.
+        path: path of the ONNX file.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         metadata: its custom metadata, as text.
-        width: of the observation.
-        n_actions: of the action.
+        width: width of the observation.
+        n_actions: width of the action.
         outputs: names of all outputs.
-        steps: whether it takes a time step, and so holds a motion of its own.
-        sha256: of the file.
-        data_sha256: of the external data beside it; None where there is none.
+        steps: whether it takes a time step, which means that it contains a motion.
+        sha256: hash of the file.
+        data_sha256: hash of the external data beside it; None without external data.
 
     Raises:
         ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
@@ -48,15 +48,15 @@ class Network:
         self.data_sha256 = _sha256(data) if data else None
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # its complaints come as exceptions, too
+        options.log_severity_level = 4  # its errors are raised as exceptions, too
         try:
             self._session = runtime.InferenceSession(
                 str(self.path), options, providers=["CPUExecutionProvider"]
             )
-        except Exception as error:  # its classes of errors are not public
+        except Exception as error:  # onnxruntime's error classes are not public
             raise ConfigError(
                 f"{self.path} cannot be loaded as a policy: {_reason(error)}.",
-                "Give an ONNX file of standard operators, beside its external data if it has some.",
+                "Give an ONNX file with standard operators, and its external data beside it.",
             ) from error
         self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
         shapes = {one.name: list(one.shape) for one in self._session.get_inputs()}
@@ -69,8 +69,7 @@ class Network:
         wide = [shapes[name][-1] for name in observations if len(shapes[name]) == 2]
         if len(observations) != 1 or len(wide) != 1 or not isinstance(wide[0], int):
             raise ConfigError(
-                f"{self.path} takes {_shown(shapes)}, which is not one observation of a known "
-                "width.",
+                f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
         if len(actions.shape) != 2 or not isinstance(actions.shape[1], int):
@@ -82,11 +81,11 @@ class Network:
         self.width, self.n_actions = wide[0], actions.shape[1]
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
-        """All outputs for one observation (width,), by name and without the batch.
+        """All outputs for one observation (width,), by name and without the batch dimension.
 
         Args:
-            observation: in the order of the network.
-            step: of the motion in the file, for one that takes it.
+            observation: values in the order of the network.
+            step: time step of the motion in the file, if the network takes it.
 
         Raises:
             ConfigError: the network fails.
@@ -96,10 +95,10 @@ class Network:
         feed = {self._observation: observation.astype(np.float32)[None], **self._step}
         try:
             values = self._session.run(None, feed)
-        except Exception as error:  # its classes of errors are not public
+        except Exception as error:  # onnxruntime's error classes are not public
             raise ConfigError(
                 f"The network of {self.path} fails: {_reason(error)}.",
-                "Export it for a batch of 1 and inputs of float32.",
+                "Export it for a batch of 1 and float32 inputs.",
             ) from error
         return {name: value[0] for name, value in zip(self.outputs, values, strict=True)}
 
@@ -110,11 +109,11 @@ class Network:
 
     @cached_property
     def normaliser(self) -> tuple[Floats, Floats] | None:
-        """Mean and deviation (width,) by which it normalises its observation; None: it does not."""
+        """Mean and deviation (width,) of its observation normalisation; None without one."""
         return normaliser(self.path, self._observation, self.width)
 
     def _check_size(self) -> Path | None:
-        """The external data beside the file; None where there is none."""
+        """Check the file's size, and return the external data beside it; None without it."""
         try:
             size = self.path.stat().st_size
             data = self.path.with_name(f"{self.path.name}.data")
@@ -128,8 +127,8 @@ class Network:
             raise ConfigError(f"The policy {self.path} is not a file.", "Give an ONNX file.")
         if size > _LARGEST:
             raise ConfigError(
-                f"The policy {self.path} has {size / 2**20:.0f} MB, more than "
-                f"{_LARGEST / 2**20:.0f}.",
+                f"The policy {self.path} has {size / 2**20:.0f} MB, more than the limit of "
+                f"{_LARGEST / 2**20:.0f} MB.",
                 "Export the actor alone, without critic and optimiser.",
             )
         return external
@@ -145,7 +144,7 @@ def _sha256(path: Path) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """The last part of what onnxruntime says, which is the cause, on one line."""
+    """The last part of onnxruntime's error, which is the cause, on one line."""
     text = " ".join(str(error).split())
     return text.rsplit(" : ", 1)[-1].rstrip(".")[:300]
 

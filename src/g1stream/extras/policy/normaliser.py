@@ -1,7 +1,7 @@
-"""By what a network normalises its observation, which is what the training saw of it.
+"""The observation normalisation of a network, which holds the statistics of the training.
 
 A network of rsl_rl or holosoma begins with (observation - mean) / deviation, both constants.
-onnxruntime does not show constants, so that the few fields of ONNX's protobuf are read here.
+onnxruntime does not expose constants, so this file reads the few needed fields of ONNX's protobuf.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from g1stream.types import Floats
 
 __all__ = ["normaliser"]
 
-#: Numbers of fields, of ModelProto, GraphProto, NodeProto, TensorProto and StringStringEntryProto.
+#: Field numbers of ModelProto, GraphProto, NodeProto, TensorProto and StringStringEntryProto.
 _GRAPH, _NODE, _INITIALIZER = 7, 1, 5
 _INPUT, _OUTPUT, _OP_TYPE = 1, 2, 4
 _FLOATS, _NAME, _RAW, _EXTERNAL = 4, 8, 9, 13
 _KEY, _VALUE = 1, 2
-#: Between the observation and its normalisation.
+#: Operators that may be between the observation and its normalisation.
 _PASSED: Final = {"Cast", "Squeeze", "Clip", "Identity"}
 
 Fields = dict[int, list[bytes]]
@@ -34,15 +34,15 @@ class _Node(NamedTuple):
 
 
 def normaliser(path: Path, observation: str, width: int) -> tuple[Floats, Floats] | None:
-    """Mean and deviation (width,) each, by which a network normalises its observation.
+    """Mean and deviation, (width,) each, with which a network normalises its observation.
 
     Args:
-        path: of the ONNX file.
+        path: path of the ONNX file.
         observation: name of the input.
-        width: of it.
+        width: width of the input.
 
     Returns:
-        None where it does not begin so.
+        None if the network does not begin with a normalisation.
     """
     try:
         graph = _fields(_fields(path.read_bytes())[_GRAPH][0])
@@ -62,7 +62,7 @@ def normaliser(path: Path, observation: str, width: int) -> tuple[Floats, Floats
                 sound = mean.size == deviation.size == width and (deviation > 0.0).all()
                 return (mean, deviation) if sound and np.isfinite(mean).all() else None
     except (LookupError, OSError, StopIteration, UnicodeDecodeError, ValueError):
-        pass  # another layout, which onnxruntime reads all the same
+        pass  # another layout, which onnxruntime can still run
     return None
 
 
@@ -76,7 +76,7 @@ def _text(fields: Fields, number: int) -> str:
 
 
 def _values(tensor: Fields, path: Path) -> Floats:
-    """The values of a tensor of floats, in the file or beside it."""
+    """The values of a tensor of floats, in the file or in external data."""
     data = b"".join(tensor.get(_RAW, []) or tensor.get(_FLOATS, []))
     if _EXTERNAL in tensor:
         entries = map(_fields, tensor[_EXTERNAL])
@@ -88,7 +88,7 @@ def _values(tensor: Fields, path: Path) -> Floats:
 
 
 def _fields(message: bytes) -> Fields:
-    """The fields of a protobuf message that have a length, by number."""
+    """The fields of a protobuf message that have a length, by field number."""
     found: Fields = {}
     for number, data in _walk(message):
         found.setdefault(number, []).append(data)
@@ -109,11 +109,11 @@ def _walk(message: bytes) -> Iterator[tuple[int, bytes]]:
             yield key >> 3, message[at : at + length]
             at += length
         else:
-            raise ValueError("groups are not used by ONNX")
+            raise ValueError("ONNX has no groups")
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A number, and where the next one begins."""
+    """A number, and the offset after it."""
     value = shift = 0
     while True:
         byte = message[at]

@@ -1,9 +1,9 @@
 """The terms of a policy's observation: names, sizes and formulas.
 
 R(q) is the rotation from a body's axes to the world's, q_anchor the measured attitude of the anchor
-link, q_ref that of the reference, and yaw0 the heading of the robot's anchor less the reference's,
-taken once when the motion begins; p_ref is turned and moved likewise. Joints are in the policy's
-order.
+link, and q_ref that of the reference. yaw0 is the heading of the robot's anchor minus the
+reference's at the start of the motion; p_ref is turned and moved by the same transform. Joints are
+in the policy's order.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ __all__ = ["ALIASES", "TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState",
 
 
 class Pose(NamedTuple):
-    """Of a link in the world: pos (3,) m, quat_wxyz (4,) unit."""
+    """Pose of a link in the world: pos (3,) m, quat_wxyz (4,) unit."""
 
     pos: Floats
     quat_wxyz: Floats
 
 
 class RobotState(NamedTuple):
-    """What is measured, or estimated, of the robot.
+    """The measured or estimated state of the robot.
 
     Attributes:
         joint_pos: (29,) rad, motor order.
         joint_vel: (29,) rad/s.
         quat_wxyz: (4,) pelvis in the world, unit.
         gyroscope: (3,) angular velocity in the pelvis frame, rad/s.
-        lin_vel: (3,) of the pelvis, in the pelvis frame, m/s.
-        anchor: of the anchor link.
+        lin_vel: (3,) velocity of the pelvis, in the pelvis frame, m/s.
+        anchor: pose of the anchor link.
     """
 
     joint_pos: Floats
@@ -62,19 +62,20 @@ class ReferenceFrame(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """All that a term may depend on.
+    """All values that a term may use.
 
     Attributes:
-        state: of the robot.
+        state: state of the robot.
         reference: None for a policy that tracks no motion.
         yaw0: (4,) quaternion wxyz, from the reference's world to the robot's.
-        origin: of the reference's world and of the robot's, each (3,), m: where the anchor link
-            was when the motion began, at height 0, because both worlds have their floor there.
+        origin: origin of the reference's world and of the robot's, each (3,), m: the place of the
+            anchor link at the start of the motion, at height 0, because both have their floor
+            there.
         order: (29,) motor index of each joint of the policy.
         default_pos: (29,) rad.
-        last_action: (29,), as the network gave it.
-        velocity: (3,) commanded: forward and to the left, m/s, and turning left, rad/s.
-        phase: (2,) of the left and the right leg, rad; pi, pi while standing.
+        last_action: (29,) output of the network in the step before.
+        velocity: (3,) command: forward and to the left, m/s, and turning left, rad/s.
+        phase: (2,) phase of the left and the right leg, rad; pi, pi while standing.
     """
 
     state: RobotState
@@ -117,7 +118,7 @@ def _gravity(x: Inputs) -> Floats:
 
 def _reference(x: Inputs) -> ReferenceFrame:
     if x.reference is None:
-        raise ValueError("the observation has a term of a reference")
+        raise ValueError("the observation has a term that needs a reference")
     return x.reference
 
 
@@ -127,7 +128,7 @@ TERMS: Final = {
     "motion_anchor_ori_b": _Term(
         6, "R(q_anchor^-1 yaw0 q_ref), 2 columns, by rows", _anchor_orientation
     ),
-    "base_lin_vel": _Term(3, "velocity of the pelvis, its axes", lambda x: x.state.lin_vel),
+    "base_lin_vel": _Term(3, "velocity of the pelvis in its axes", lambda x: x.state.lin_vel),
     "base_ang_vel": _Term(3, "gyroscope of the pelvis", lambda x: x.state.gyroscope),
     "projected_gravity": _Term(3, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
     "velocity_commands": _Term(3, "commanded vx, vy, yaw rate", lambda x: x.velocity),
@@ -137,9 +138,9 @@ TERMS: Final = {
     "cos_phase": _Term(2, "cosine of the legs' phase", lambda x: np.cos(x.phase)),
     "joint_pos_rel": _Term(29, "q - default", lambda x: x.state.joint_pos[x.order] - x.default_pos),
     "joint_vel_rel": _Term(29, "dq", lambda x: x.state.joint_vel[x.order]),
-    "last_action": _Term(29, "the action before", lambda x: x.last_action),
+    "last_action": _Term(29, "action of the step before", lambda x: x.last_action),
 }
-"""By the names of Isaac Lab and mjlab, as their deploy.yaml has them."""
+"""The terms by their names in Isaac Lab and mjlab, as in deploy.yaml."""
 
 ALIASES: Final = {
     "motion_ref_ori_b": "motion_anchor_ori_b",
@@ -153,14 +154,14 @@ ALIASES: Final = {
     "velocity_command": "velocity_commands",
     "base_velocity": "velocity_commands",
 }
-"""Other names of the same terms: those of whole_body_tracking and holosoma."""
+"""Other names of the same terms, in whole_body_tracking and holosoma."""
 
 
 def observe(terms: Sequence[tuple[str, Floats | float]], inputs: Inputs) -> Floats:
-    """The observation: each term times its scale, one after the other.
+    """Compute the observation: the terms times their scales, concatenated.
 
     Args:
         terms: name in `TERMS`, and scale.
-        inputs: of this step.
+        inputs: the inputs of this step.
     """
     return np.concatenate([scale * TERMS[name].value(inputs) for name, scale in terms])

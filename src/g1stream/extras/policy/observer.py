@@ -1,4 +1,4 @@
-"""What a policy observes in a run, step by step."""
+"""Computes a policy's observations in a run, step by step."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ __all__ = ["Observer", "anchor_poses", "frame_of", "state_of"]
 
 _ORIGIN: Final = np.zeros(3)
 _ON_FLOOR: Final = np.array([1.0, 1.0, 0.0])
-#: Of a robot that is not commanded to walk: velocities, and the phases of its legs.
+#: Inputs of a robot without a walking command: velocities, and the phases of its legs.
 _STANDS: Final = np.zeros(3), np.full(2, np.pi)
 
 
 class Observer:
-    """Makes the observation of each step.
+    """Computes the observation of each step.
 
     Args:
-        contract: of the policy.
+        contract: the policy's contract.
 
     Attributes:
-        last_action: (29,) of the step before, in the order of the policy.
+        last_action: (29,) action of the step before, in the policy's order.
     """
 
     def __init__(self, contract: PolicyContract) -> None:
@@ -45,7 +45,7 @@ class Observer:
         self.last_action = np.zeros(len(self._default))
 
     def begin(self, state: RobotState, frame: ReferenceFrame) -> None:
-        """The motion begins: heading and place of its anchor are those of the robot's."""
+        """Align heading and place of the motion's anchor with the robot's at the start."""
         own, its = (quat_from_yaw(yaw_of(one.anchor.quat_wxyz)) for one in (state, frame))
         self._yaw0 = quat_mul(own, quat_conj(its))
         self._origin = frame.anchor.pos * _ON_FLOOR, state.anchor.pos * _ON_FLOOR
@@ -53,7 +53,7 @@ class Observer:
         self.last_action = np.zeros(len(self._default))
 
     def observe(self, state: RobotState, frame: ReferenceFrame) -> Floats:
-        """The observation (width,) of the next step; the reference is that of `lag` steps ago."""
+        """The observation (width,) of the next step, with the reference of `lag` steps ago."""
         self._frames.append(frame)
         inputs = Inputs(
             state,
@@ -72,7 +72,7 @@ class Observer:
 def anchor_poses(
     contract: PolicyContract, robot: G1, joint_pos: Floats, pos: Floats, quat_wxyz: Floats
 ) -> list[Pose]:
-    """Poses of the anchor link; joint_pos (T, 29), of the pelvis pos (T, 3), quat_wxyz (T, 4)."""
+    """Poses of the anchor link from joint_pos (T, 29), pelvis pos (T, 3) and quat_wxyz (T, 4)."""
     link = robot.link_names.index(contract.anchor or robot.link_names[0])
     poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
     return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
@@ -86,7 +86,7 @@ def state_of(
     quat_wxyz: NDArray[np.floating],
     gyroscope: NDArray[np.floating],
 ) -> RobotState:
-    """What a LowState says of the robot, without a place: joints (29,) rad and rad/s."""
+    """The robot's state from a LowState, without a place: joints (29,) rad and rad/s."""
     q, quat = joint_pos.astype(np.float64), quat_wxyz.astype(np.float64)
     quat /= np.sqrt(quat @ quat)
     return RobotState(

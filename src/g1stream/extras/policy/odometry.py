@@ -1,7 +1,7 @@
-"""Where the pelvis is and how fast it moves, by the foot that stands; pure.
+"""Leg odometry: position and velocity of the pelvis, estimated from the standing foot.
 
-Leg odometry, as in Roston and Krotkov, "Dead reckoning navigation for walking robots" (IROS 1992):
-the lowest corner of the soles stands still, so that the pelvis moves as the legs move against it.
+As in Roston and Krotkov, "Dead reckoning navigation for walking robots" (IROS 1992), the lowest
+corner of the soles is assumed to be at rest, so the pelvis's movement follows from the legs.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["OF_BASE", "LegOdometry"]
 
 OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
-"""Terms of what LowState does not have."""
+"""Terms that LowState does not contain."""
 
 
 class LegOdometry:
@@ -36,12 +36,12 @@ class LegOdometry:
         self.pos, self.vel = np.zeros(3), np.zeros(3)
 
     def update(self, joint_pos: Floats, quat_wxyz: Floats, passed: float) -> None:
-        """Take a state into account.
+        """Update the estimate with a state.
 
         Args:
             joint_pos: (29,) rad, motor order.
             quat_wxyz: (4,) pelvis to world.
-            passed: s since the state before.
+            passed: time since the state before, s.
         """
         corners = self._soles.path(joint_pos[None], np.zeros((1, 3)), quat_wxyz[None])[0]
         if self._before is not None and passed > 0.0:

@@ -1,4 +1,4 @@
-"""`g1stream policy`: what a policy takes and gives."""
+"""`g1stream policy`: shows the inputs and outputs of a policy, and checks them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from g1stream.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Policy(Command):
-    """Prints what a learned policy takes and gives: observation, joints, gains, rate, reference.
+    """Prints the contract of a learned policy: observation, joints, gains, rate, reference.
 
-    A policy is an ONNX file. What its metadata does not say is read from deploy.yaml or from a TOML
-    file of the same name beside it; what no file says is named, with the line to write. With a
-    motion, its or the given one, the first five seconds are tried with the robot exactly where the
-    reference is: targets that are far from it show a wrong motion, order, term or scale.
+    A policy is an ONNX file. Facts that its metadata lacks are read from deploy.yaml or from a TOML
+    file of the same name beside it. Facts that no file has are listed with the line to write. With
+    a motion in the policy or --motion, the first five seconds are tried with the robot exactly at
+    the reference. Targets far from it show a wrong motion, order, term or scale.
 
-    With --replay, a session that the policy played is played again through it: whether the recorded
-    observations give the recorded actions, bit for bit, and how far observations made anew of the
-    recorded LowStates and References are from the recorded ones, term by term.
+    With --replay, the policy plays a recorded session again. The result shows whether the recorded
+    observations give the recorded actions, bit for bit. It also compares observations recomputed
+    from LowState and Reference with the recorded ones, term by term.
 
     Examples:
       g1stream policy policy.onnx
@@ -29,16 +29,16 @@ class Policy(Command):
 
     Exit codes:
       0  printed
-      1  printed; the first targets are far off, or a replay differs
-      2  a fact is missing or wrong, no policy of a G1, or none in the session
+      1  printed, but the first targets are far off, or a replay differs
+      2  a fact is missing or wrong, no policy for a G1, or no policy in the session
     """
 
     file: str | None = flag(
-        None, "ONNX file of the policy; of a session the recorded one.", "FILE", positional=True
+        None, "ONNX file of the policy; default: the recorded one.", "FILE", positional=True
     )
-    motion: str | None = flag(None, "Motion that it is to track.", "MOTION")
-    replay: str | None = flag(None, "Session to play through the policy again.", "SESSION")
-    json: bool = flag(False, "Print it as JSON.")
+    motion: str | None = flag(None, "Motion to track.", "MOTION")
+    replay: str | None = flag(None, "Session that the policy plays again.", "SESSION")
+    json: bool = flag(False, "Print the result as JSON.")
 
     def run(self) -> int:
         """Print contract and first actions, or a replay, and return the exit code."""
@@ -46,7 +46,7 @@ class Policy(Command):
             return self._replay(self.replay)
         if self.file is None:
             raise ConfigError(
-                "No policy is named.", "Give an ONNX file, or --replay with a session."
+                "No policy is given.", "Give an ONNX file, or --replay with a session."
             )
         return self._show(self.file)
 
@@ -55,9 +55,7 @@ class Policy(Command):
         from g1stream.extras.policy.replay import replay_policy
 
         if self.motion:
-            raise ConfigError(
-                "--motion with --replay: the session has what was played.", "Leave one of them out."
-            )
+            raise ConfigError("--motion cannot be combined with --replay.", "Remove one of them.")
         found = replay_policy(open_session(path), self.file)
         if self.json:
             print_json(found.model_dump(mode="json") | {"same": found.same})

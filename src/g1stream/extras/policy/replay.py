@@ -1,8 +1,8 @@
-"""A session played again through its policy: same observations, same actions.
+"""Replays a recorded session through its policy, and compares observations and actions.
 
-Recorded observations give the recorded actions bit for bit where network, runtime and processor are
-the same. Observations that are made anew of the recorded LowStates and References are compared
-with the recorded ones term by term, so that two runners of one policy can be.
+Recorded observations give the recorded actions bit for bit if network, runtime and processor are
+the same. Observations recomputed from the recorded LowStates and References are compared with the
+recorded ones term by term. This also compares two runners of a policy.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ if TYPE_CHECKING:
 
 __all__ = ["ActionDifference", "PolicyReplay", "TermDifference", "replay_policy"]
 
-#: What single precision leaves of values of this size; more is another value.
+#: Rounding of single precision for values of this size; larger differences count.
 _SAME: Final = 1e-5
 _LABEL: Final = 16
-#: Ticks between the Reference of a step and that of its command, at most.
+#: Most ticks between the Reference of a step and that of its command.
 _NEAR: Final = 64
-#: Motion times that differ by less are the same, s.
+#: Motion times that differ by less are equal, s.
 _SAME_TIME: Final = 1e-6
 
 
-#: Why observations cannot be made anew.
+#: Reasons why observations cannot be recomputed.
 _LACKS: Final = "their LowState or Reference is not in the session"
 _LATER: Final = "the session lacks a step since the policy took over"
 
 
 class ActionDifference(Record, frozen=True):
-    """The first action that is not the recorded one, bit for bit.
+    """The first action that differs from the recorded one.
 
     Attributes:
-        step: of the policy, since it took the robot over.
-        time_s: on the motion's clock.
-        joint: whose action it is, the first in motor order.
-        recorded, replayed: its action; None where that is not finite.
+        step: policy step, from 0.
+        time_s: time on the motion's clock.
+        joint: joint of the action, the first in motor order.
+        recorded, replayed: the actions; None if not finite.
     """
 
     step: int
@@ -64,13 +64,13 @@ class ActionDifference(Record, frozen=True):
 
 
 class TermDifference(Record, frozen=True):
-    """How far a term that is made anew is from the recorded one, all steps.
+    """Difference between a recomputed term and the recorded one, over all steps.
 
     Attributes:
-        max_abs: the largest difference, in the units of the observation, scale included; None where
-            no step could be made anew.
-        step: the first step that differs by more than 1e-5; None where none does.
-        time_s: of that step, on the motion's clock.
+        max_abs: largest difference, in the units of the observation including the scale; None
+            if no step could be recomputed.
+        step: first step that differs by more than 1e-5; None if none does.
+        time_s: time of that step, on the motion's clock.
     """
 
     max_abs: float | None
@@ -79,19 +79,19 @@ class TermDifference(Record, frozen=True):
 
 
 class PolicyReplay(Record, frozen=True):
-    """A session played again through a policy.
+    """Result of replaying a session through a policy.
 
     Attributes:
-        session: its path.
+        session: path of the session.
         policy: path of the ONNX file.
-        same_file: whether that is the one that was recorded, by its SHA-256; None: not recorded.
-        steps: recorded ones.
-        differing: of these, how many actions are not the recorded ones, bit for bit.
-        max_abs: the largest difference of an action.
-        first: the first one.
-        rebuilt: steps whose observation could be made anew.
-        left_out: why others could not, and how many.
-        terms: by name, in order.
+        same_file: whether the file is the recorded one, by its SHA-256; None if not recorded.
+        steps: number of recorded steps.
+        differing: number of actions that are not bit for bit the recorded ones.
+        max_abs: largest difference of an action.
+        first: the first difference.
+        rebuilt: number of steps whose observation could be recomputed.
+        left_out: number of the other steps by reason.
+        terms: differences by term, in order.
     """
 
     session: str
@@ -107,7 +107,7 @@ class PolicyReplay(Record, frozen=True):
 
     @property
     def same(self) -> bool:
-        """Whether all actions and all terms are the recorded ones."""
+        """Whether all actions and all terms equal the recorded ones."""
         return not self.differing and all(one.step is None for one in self.terms.values())
 
     def __str__(self) -> str:
@@ -118,8 +118,8 @@ class PolicyReplay(Record, frozen=True):
             labelled(f"{'actions':<{_LABEL}}", self._actions()),
             labelled(
                 f"{'observations':<{_LABEL}}",
-                f"{self.rebuilt} of {self.steps} made anew of LowState and Reference"
-                + "".join(f"; {n} left out: {why}" for why, n in self.left_out.items()),
+                f"{self.rebuilt} of {self.steps} recomputed from LowState and Reference"
+                + "".join(f"; {n} omitted: {why}" for why, n in self.left_out.items()),
             ),
         ]
         rows = [["term", "largest difference", f"first beyond {_SAME:g}", "at s"]]
@@ -131,7 +131,7 @@ class PolicyReplay(Record, frozen=True):
     def _actions(self) -> str:
         first = self.first
         if first is None:
-            return f"all {self.steps} are the recorded ones, bit for bit"
+            return f"all {self.steps} equal the recorded ones, bit for bit"
         return (
             f"{self.differing} of {self.steps} differ, by up to {self.max_abs:.3g}; first at step "
             f"{first.step} ({first.time_s:.2f} s), {first.joint}: recorded "
@@ -140,21 +140,21 @@ class PolicyReplay(Record, frozen=True):
 
 
 def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyReplay:
-    """Play a session again through its policy, or through another one of the same contract.
+    """Replay a session through its policy, or through another one with the same contract.
 
     Args:
-        session: with the steps of a policy.
-        policy: ONNX file; the one that was recorded if None.
+        session: session with the steps of a policy.
+        policy: ONNX file; the recorded one if None.
 
     Raises:
         RecordingError: the session has no steps of a policy.
-        ConfigError: the policy is not there any more, has changed, or takes another observation.
+        ConfigError: the policy no longer exists, has changed, or has another observation.
     """
     steps, info = session.policy, session.policy_info
     if steps is None:
         raise RecordingError(
             f"{session.path} has no steps of a policy.",
-            "Record a stream with --policy by this version of g1stream.",
+            "Record a stream with --policy with this version of g1stream.",
         )
     network = Network(_file(session) if policy is None else policy)
     same = None
@@ -162,15 +162,15 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
         same = (info.sha256, info.data_sha256) == (network.sha256, network.data_sha256)
     if policy is None and same is False:
         raise ConfigError(
-            f"{network.path} has changed since {session.path} was recorded: its SHA-256 is another "
+            f"{network.path} has changed since {session.path} was recorded: its SHA-256 differs "
             "one.",
-            "Name the ONNX file that played before --replay, or this one to compare with.",
+            "Give the ONNX file that played before --replay, or this one explicitly to compare it.",
         )
     if network.width != steps.observation.shape[1] or network.n_actions != len(JOINT_NAMES):
         raise ConfigError(
-            f"{network.path} takes {counted(network.width, 'value')}, and the session has "
+            f"{network.path} takes {counted(network.width, 'value')}, but the session has "
             f"observations of {steps.observation.shape[1]}.",
-            "Give the policy that was played, or one of the same contract.",
+            "Give the policy that was played, or one with the same contract.",
         )
     contract = _contract(session, network)
     columns = PolicyInfo(contract=contract.model_dump(mode="json")).columns
@@ -191,7 +191,7 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
 
 
 def _contract(session: Session, network: Network) -> PolicyContract:
-    """What was recorded; of a recorder that was not told, what the file says now."""
+    """The recorded contract, or, if there is none, that of the file."""
     info = session.policy_info
     recorded = recorded_contract(info)
     if recorded is None:
@@ -200,9 +200,9 @@ def _contract(session: Session, network: Network) -> PolicyContract:
         asked = read_contract(network, session.robot).terms
         if asked != recorded.terms:
             raise ConfigError(
-                f"{network.path} observes {_listed(asked)}; the session has "
+                f"{network.path} observes {_listed(asked)}, but the session has "
                 f"{_listed(recorded.terms)}.",
-                "Give the policy that was played, or one of the same contract.",
+                "Give the policy that was played, or one with the same contract.",
             )
     return recorded
 
@@ -212,13 +212,13 @@ def _listed(terms: Sequence[Term]) -> str:
 
 
 def _file(session: Session) -> Path:
-    """The file that was recorded, if it is still the same."""
+    """The path of the recorded file."""
     info = session.policy_info
     path = Path(info.path) if info and info.path else None
     if path is None or not path.is_file():
         raise ConfigError(
-            f"The policy of {session.path}, {path or 'whose file is not named'}, is not there.",
-            "Name its ONNX file before --replay.",
+            f"The policy of {session.path}, {path or 'without a recorded path'}, does not exist.",
+            "Give its ONNX file before --replay.",
         )
     return path
 
@@ -229,7 +229,7 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
     for i, observation in enumerate(steps.observation):
         replayed[i, order] = network.act(observation)
     differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
-    # NaN has many bit patterns, all of which say the same.
+    # NaN has many bit patterns, which are all equal here.
     differing &= ~(np.isnan(steps.action) & np.isnan(replayed))
     rows = np.flatnonzero(differing.any(axis=1))
     apart = np.abs(steps.action.astype(np.float64) - replayed)
@@ -250,7 +250,7 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
 def _observations(
     session: Session, steps: PolicyStream, contract: PolicyContract
 ) -> tuple[Floats, dict[str, int]]:
-    """Observations (N, K) made anew, NaN where they cannot be; and why not, with how often."""
+    """Recomputed observations (N, K), NaN where not possible; and the number by reason."""
     states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
     references = _references(session, steps)
     measured, reference = session.measured, session.reference
@@ -258,14 +258,14 @@ def _observations(
     rebuilt = np.full(steps.observation.shape, np.nan)
     left_out: dict[str, int] = {}
     observer = Observer(contract)
-    before: int | None = None  # the step that the observer knows all of
+    before: int | None = None  # the last step that the observer has processed
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
         known = s >= 0 and r >= 0
         follows = not number or before == number - 1
         if not (known and follows):
             why = _LATER if known else _LACKS
             left_out[why] = left_out.get(why, 0) + 1
-            # Without a lag nothing but the last action is taken from a step to the next.
+            # Without a lag a step needs only the last action from the step before.
             before = number if follows and number and not contract.lag else None
         else:
             values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
@@ -284,10 +284,10 @@ def _observations(
 
 
 def _references(session: Session, steps: PolicyStream) -> list[int]:
-    """For each step the index of the Reference that it observed, -1 where that was not published.
+    """Index of the Reference that each step observed, -1 if that was not published.
 
-    It is some ticks ahead of the one of its command. Of those with its motion time, as before and
-    after a motion, it is the nearest one.
+    It is some ticks after the Reference of the step's command. If several have its motion time,
+    as before and after a motion, it is the nearest one.
     """
     reference = session.reference
     beside = np.searchsorted(reference.publish_time, steps.publish_time)
@@ -301,7 +301,7 @@ def _references(session: Session, steps: PolicyStream) -> list[int]:
 
 
 def _found(times: Any, wanted: Any) -> list[int]:
-    """The index of each wanted time among `times`; -1 where it is not there."""
+    """The index of each wanted time among `times`; -1 if it is missing."""
     by_time = {time: i for i, time in enumerate(times.tolist())}
     return [by_time.get(time, -1) for time in wanted.tolist()]
 

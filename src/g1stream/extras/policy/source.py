@@ -1,8 +1,7 @@
-"""The source of targets of a learned policy that keeps the robot on its feet.
+"""Targets from a learned policy that keeps the robot on its feet.
 
-The policy runs at its own rate in the robot's time: in between its target is repeated. The
-reference that it observes is the target of the motion, before which and after which the robot
-stands.
+The policy runs at its own rate in the robot's time. Its target is repeated between its steps. The
+observed reference is the target of the motion. Before and after the motion the robot stands.
 """
 
 from __future__ import annotations
@@ -53,39 +52,39 @@ if TYPE_CHECKING:
 __all__ = ["TILTED", "BackToStanding", "PolicyTargets"]
 
 TILTED: Final = 0.6
-"""The robot falls: its pelvis is tilted by this against the reference, rad. Two policies that
-danced for two minutes, in simulators that stalled, were tilted by 0.41 at most."""
+"""Tilt of the pelvis against the reference that counts as a fall, rad. Two policies that danced
+for two minutes, in simulators that stalled, were tilted by at most 0.41."""
 
-#: From the still pose to the motion and back, s.
+#: Time to move from the still pose to the motion and back, s.
 _BLEND: Final = 1.0
-#: m by which the pelvis is higher when RAMP begins: no leg is longer by more.
+#: Height by which the pelvis is raised when RAMP begins, m; no leg is longer by more.
 _LIFT: Final = 0.4
-#: PLAY begins when the feet have carried this share of the weight for this time, s: on feet in the
-#: air a policy kicks.
+#: PLAY begins when the feet have carried this fraction of the weight for this time, s, because a
+#: policy kicks while its feet are in the air.
 _CARRIED: Final = 0.1, 0.5
 _LOAD_PERIOD: Final = 0.02
-#: How many times in a row an action may be repeated, because the new one is late or not finite.
+#: Most repetitions of an action in a row because the new one is late or not finite.
 _REPEATED: Final = 2
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 class PolicyTargets(Source):
-    """The targets of a policy in PLAY and HOLD; in RAMP those of the motion.
+    """Uses the targets of a policy in PLAY and HOLD, and those of the motion in RAMP.
 
     The bridge of g1stream lowers the robot in RAMP. Elsewhere it hangs from a band, and RAMP waits
-    until somebody has lowered it onto its feet.
+    until an operator has lowered it onto its feet.
 
     Args:
-        config: all settings in force.
+        config: all settings.
         robot: the robot.
-        simulated: nothing but a simulator is reached.
+        simulated: only a simulator can be reached.
         complete: every joint gets its torque.
 
     Attributes:
-        contract: of the policy.
+        contract: the policy's contract.
 
     Raises:
-        ConfigError: the policy cannot be used, or the settings do not go with it.
+        ConfigError: the policy or a setting cannot be used.
         SafetyError: it may not be used on a robot.
     """
 
@@ -118,7 +117,7 @@ class PolicyTargets(Source):
         self._load = FeetLoad(robot)
         self._lowered_by_bridge = False
         self._share = self._carried_for = 0.0
-        self._weighed = -_LOAD_PERIOD  # when, s
+        self._weighed = -_LOAD_PERIOD  # time of the last check, s
         self._odometry = LegOdometry(robot) if estimated else None
         self._default = np.array(contract.default_pos)
         self._scale = np.array(contract.action_scale)
@@ -143,7 +142,7 @@ class PolicyTargets(Source):
             return ""
         return (
             f"the feet carry {100.0 * max(0.0, self._share):.0f} % of the weight; lower the robot "
-            f"until they carry {100.0 * _CARRIED[0]:.0f} %, and let it go while it stands"
+            f"until they carry {100.0 * _CARRIED[0]:.0f} %, and release it when it stands"
         )
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
@@ -157,7 +156,7 @@ class PolicyTargets(Source):
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
         changed = _with_standing(motion, self._still, settings.stand)
-        text = f"{motion.name} begins after {settings.stand:g} s of standing, and ends with it"
+        text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         if self._odometry:
             text += "; the velocity of the pelvis is estimated by leg odometry"
         return changed, text
@@ -165,7 +164,7 @@ class PolicyTargets(Source):
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if announced not in (None, "free"):
             raise ConfigError(
-                f"The simulator holds the robot ({announced}); a policy stands on its feet.",
+                f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
                 "Start it with --support free.",
             )
         self._lowered_by_bridge = announced == "free"
@@ -190,7 +189,7 @@ class PolicyTargets(Source):
         if moment.time > self._next - 0.5 / self._settings.rate:
             self._step(moment)
             self._next += self._step_time
-            if self._next <= moment.time:  # what a leap of the motion's clock has left out is lost
+            if self._next <= moment.time:  # steps in a jump of the motion's clock are skipped
                 self._next = moment.time + self._step_time
         self._watch(moment)
         return self.repeated(target)
@@ -248,7 +247,7 @@ class PolicyTargets(Source):
         self._target[self._order] = self._default + self._scale * self._observer.last_action
 
     def _watch(self, moment: Moment) -> None:
-        """Find out whether the robot falls."""
+        """Detect a fall."""
         measured = moment.measured.imu.quat_wxyz.astype(np.float64)
         tilt = tilt_of(quat_mul(measured, quat_conj(moment.target.root_quat_wxyz)))
         if tilt > TILTED and not self._fall:
@@ -263,7 +262,7 @@ class PolicyTargets(Source):
         if not self._odometry:
             return state
         before, self._observed = self._observed or measured, measured
-        # Where ticks stand still, the time of reception counts.
+        # If ticks do not advance, the reception time is used.
         passed = ticks_between(before.tick, measured.tick) / 1e3
         passed = passed or (measured.received - before.received) / 1e9
         self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
@@ -285,7 +284,7 @@ class BackToStanding:
 
     Args:
         still: two frames of the pose, on the floor.
-        seconds: for which it stands.
+        seconds: time to stand.
     """
 
     def __init__(self, still: Motion, seconds: float) -> None:
@@ -293,16 +292,16 @@ class BackToStanding:
         self._pose, self._height = still.joint_pos[0], float(still.root_pos[0, 2])
 
     def possible(self, target: Target) -> bool:
-        """Always: a policy stands wherever it can go on."""
+        """Always true, because a policy can stand from any pose."""
         return True
 
     def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
-        """The way from a target at rest: by the time since it began, s, and joints."""
+        """The way from a target at rest, by the time since its start, s, and joints."""
         way = self._pose - standing.q
         rise = np.array([0.0, 0.0, self._height - standing.root_pos[2]])
         upright = quat_from_yaw(yaw_of(standing.root_quat_wxyz))
         turn = quat_mul(quat_conj(standing.root_quat_wxyz), upright)
-        turn = np.copysign(1.0, turn[0]) * turn  # the shorter way
+        turn = np.copysign(1.0, turn[0]) * turn  # the shorter rotation
         sine = float(np.linalg.norm(turn[1:]))  # of half the angle
         angle = 2.0 * math.atan2(sine, float(turn[0]))
         axis = turn[1:] / sine if sine else _UP
@@ -334,14 +333,14 @@ def _standing(pose: Floats, robot: G1) -> Motion:
         root_pos=np.zeros((2, 3)),
         root_quat_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
     ).on_floor(robot)
-    return replace(still, operations=())  # they would be told with those of the motion
+    return replace(still, operations=())  # they would be listed with those of the motion
 
 
 def _with_standing(motion: Motion, still: Motion, seconds: float) -> Motion:
-    """A motion that begins with a still pose for a time, and ends with it.
+    """A motion that begins and ends with a still pose for some time.
 
-    The pose has the place and the heading of the motion's first frame; `Motion.then` moves that of
-    the end.
+    The pose has the place and heading of the motion's first frame, and `Motion.then` moves the
+    pose at the end.
     """
     frames = max(2, round(seconds * motion.fps) + 1)
     heading = quat_from_yaw(yaw_of(motion.root_quat_wxyz[0]))
@@ -363,29 +362,27 @@ def _require_multiple(contract: PolicyContract, rate: float) -> None:
     ticks = rate / contract.rate
     if ticks < 1.0 or abs(ticks - round(ticks)) > 1e-6:
         raise ConfigError(
-            f"stream.rate = {rate:g} Hz is no multiple of the {contract.rate:g} Hz of the policy.",
+            f"stream.rate = {rate:g} Hz is not a multiple of the policy's {contract.rate:g} Hz.",
             f"Give a multiple, such as --rate {contract.rate * 10:g}.",
         )
 
 
 def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
-    """Refuse settings with which a policy cannot keep the robot on its feet."""
+    """Refuse settings that prevent a policy from balancing the robot."""
     settings = config.stream
     if not simulated:
         raise SafetyError(
-            f"--policy on {config.dds.interface}: it has been tried in simulators only, and a "
-            "robot that falls breaks.",
+            f"--policy is not allowed on {config.dds.interface}: it was only tested in simulators, "
+            "and a robot that falls breaks.",
             "Use the loopback interface.",
         )
     if settings.support not in (None, "free") or settings.feedforward not in (None, "dynamics"):
         raise ConfigError(
-            "A policy commands a robot that stands freely, at every tick.",
-            "Leave out --support and --feedforward.",
+            "A policy commands a free-standing robot at every tick.",
+            "Remove --support and --feedforward.",
         )
     if config.gains.kp or config.gains.kd:
-        raise ConfigError(
-            "A policy was trained with gains of its own.", "Leave out --gains and [gains]."
-        )
+        raise ConfigError("A policy uses the gains of its training.", "Remove --gains and [gains].")
     if (
         settings.others != "hold"
         or settings.loop
@@ -395,5 +392,5 @@ def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
     ):
         raise ConfigError(
             "A policy plays a motion once, with all 29 joints, on rt/lowcmd.",
-            "Leave out --loop, --joints, --others and --via.",
+            "Remove --loop, --joints, --others and --via.",
         )

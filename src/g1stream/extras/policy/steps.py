@@ -1,8 +1,8 @@
-"""The steps of a policy in a session: its delays, its terms, and what went first before a fall.
+"""Analysis of a policy's steps in a session: delays, terms, and early signs of a fall.
 
-A sign before a fall is what is, from some time in the last two seconds on, three times as far from
-the middle of its range as in all the run before. What the training saw is told where the network
-normalises its observation by it, and not assumed where it does not.
+A sign is a value that stays, from some time in the last two seconds before the fall, three times as
+far from the middle of its range as ever before in the run. The statistics of the training are only
+known if the network normalises its observation with them; they are never assumed.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ if TYPE_CHECKING:
 
 __all__ = ["Fall", "PolicySteps", "Sign", "TermFigures", "policy_steps"]
 
-#: A fall: the pelvis is tilted against the reference by `TILTED`, or below it by this, m.
+#: A fall: tilt of the pelvis against the reference above `TILTED`, or height below it, m.
 _BELOW: Final = 0.25
-#: The state at which the loop finds a fall may be that much later than the phase that it ends, s.
+#: The loop may detect a fall this much after the phase that it ends, s.
 _AFTER: Final = 0.1
-#: How long before a fall signs are looked for, s; of a shorter run half of it.
+#: Time before a fall in which signs are searched, s; half of a shorter run.
 _WINDOW: Final = 2.0
-#: A motor at this share of its limit is at it; for so long it counts, s.
+#: Fraction of its limit at which a motor is at its limit, and the least duration, s.
 _SATURATED, _SHORTEST = 0.99, 0.01
-#: A value so many times as far from the middle of its range as ever before has left it.
+#: A value this many times as far from the middle of its range as ever before has left the range.
 _FARTHER: Final = 3.0
-#: What is back within its range for so long, s, is no sign.
+#: A value that returns to its range for this long is no sign, s.
 _BACK: Final = 0.3
-#: The least half of a range: heights of soles, m.
+#: Least half range of sole heights, m.
 _FLOORS: Final = {"contact": 0.02}
-#: So many standard deviations from the mean of the training, little or nothing was seen in it.
+#: The training has little or no data beyond this many standard deviations from the mean.
 _UNSEEN: Final = 5.0
-#: An interval of so many steps is a gap.
+#: An interval of this many steps is a gap.
 _GAP: Final = 1.5
 #: Terms that do not depend on the robot.
 _ASKED: Final = ("motion_command", "velocity_commands", "command_lin_vel", "command_ang_vel")
-#: The action of the step before, which is looked at itself.
+#: The previous action, which is analysed separately.
 _REPEATED: Final = "last_action"
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
@@ -59,16 +59,16 @@ Kind = Literal["term", "action", "torque", "contact", "time"]
 
 
 class TermFigures(Record, frozen=True):
-    """A term of the observation, over all steps before a fall.
+    """Statistics of a term of the observation, over all steps before a fall.
 
     Attributes:
         mean, std: over its values, in the units of the observation.
-        deviation: in the last second before the fall, of the value that is farthest from its mean
-            of the run before, in its own standard deviations there; None without a fall.
-        of: that value.
-        trained_deviation: of the value that is farthest from the mean of the training, in standard
-            deviations there; None where the network does not have them.
-        beyond_training: share of the steps with a value farther than 5 of these.
+        deviation: largest deviation of a value in the last second before the fall from its mean
+            in the run before, in standard deviations of that run; None without a fall.
+        of: name of that value.
+        trained_deviation: largest deviation of a value from the mean of the training, in standard
+            deviations of the training; None if the network does not contain them.
+        beyond_training: fraction of the steps with a value beyond 5 of these deviations.
     """
 
     mean: float
@@ -80,12 +80,12 @@ class TermFigures(Record, frozen=True):
 
 
 class Sign(Record, frozen=True):
-    """What went wrong before a fall.
+    """An early sign of a fall.
 
     Attributes:
-        kind: what it is one of.
-        what: it, in words.
-        time_s: since when, on the motion's clock.
+        kind: kind of the sign.
+        what: description of the sign.
+        time_s: its start, on the motion's clock.
     """
 
     kind: Kind
@@ -94,11 +94,11 @@ class Sign(Record, frozen=True):
 
 
 class Fall(Record, frozen=True):
-    """A fall, and what came before it.
+    """A fall, and the signs before it.
 
     Attributes:
-        time_s: on the motion's clock.
-        why: how it is told.
+        time_s: time on the motion's clock.
+        why: how the fall was detected.
         signs: the first of each kind, the earliest first.
     """
 
@@ -109,7 +109,7 @@ class Fall(Record, frozen=True):
     def __str__(self) -> str:
         text = f"The robot fell at {self.time_s:.2f} s: {self.why}."
         if not self.signs:
-            return f"{text} Nothing left its range in the {_WINDOW:g} s before."
+            return f"{text} No value left its range in the {_WINDOW:g} s before."
         first, *others = self.signs
         then = "; then ".join(f"{one.what}, {self._before(one)}" for one in others)
         return (
@@ -121,21 +121,21 @@ class Fall(Record, frozen=True):
 
 
 class PolicySteps(Record, frozen=True):
-    """What the steps of a policy say of a run.
+    """Results from the steps of a policy in a run.
 
     Attributes:
         policy: path of its ONNX file.
-        steps: how many.
-        step_s: between two; the slack of the delays.
+        steps: number of steps.
+        step_s: time between two steps, the available time for delays.
         repeated: steps whose action was not finite.
         late: intervals between steps of one and a half steps or more.
         delay_s: from the publish time of the LowState to that of the command.
         state_age_s: from the reception of the LowState to the observation.
-        inference_s: in the network; 0 in a rollout.
-        saturated: joint -> share of the states while the policy ran in which its motor was at 99 %
-            of its limit or more, the highest first.
+        inference_s: time in the network; 0 in a rollout.
+        saturated: joint -> fraction of the states while the policy ran in which its motor was at
+            99 % of its limit or more, the highest first.
         terms: by name, in order.
-        fall: None where the robot did not fall.
+        fall: None if the robot did not fall.
     """
 
     policy: str | None
@@ -152,7 +152,7 @@ class PolicySteps(Record, frozen=True):
 
 
 class _Trace(NamedTuple):
-    """Values over time, of which a sign may be one: values (T, J) at times (T,), and J names."""
+    """Values over time in which signs are searched: values (T, J) at times (T,), and J names."""
 
     kind: Kind
     names: list[str]
@@ -161,14 +161,14 @@ class _Trace(NamedTuple):
 
 
 class _AtLimit(NamedTuple):
-    """Times (T,) of the states, s, and which motors (T, 29) are at their limits."""
+    """Times (T,) of the states, s, and whether motors (T, 29) are at their limits."""
 
     time: Floats
     full: NDArray[np.bool_]
 
 
 def policy_steps(session: Session) -> PolicySteps | None:
-    """What the steps of a policy say; None where a session has none.
+    """Analyse the steps of a policy; None if a session has none.
 
     Raises:
         RecordingError: the file is damaged.
@@ -209,7 +209,7 @@ def policy_steps(session: Session) -> PolicySteps | None:
 
 
 def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Trace]:
-    """The terms of an observation; joints less what is asked of them, where that is observed."""
+    """The terms of an observation; joints minus their reference if that is observed."""
     asked = steps.terms.get("motion_command")
     scales = {one.name: np.array(one.scale) for one in contract.terms} if contract else {}
     for name, at in steps.terms.items():
@@ -227,12 +227,12 @@ def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Tr
             reference = steps.observation[:, part : part + n] / scales["motion_command"].mean()
             less = np.array(contract.default_pos) if name == "joint_pos_rel" else 0.0
             values = values - (reference - less) * scales[name]
-            names = [f"{one} less the reference's" for one in names]
+            names = [f"{one} minus the reference's" for one in names]
         yield _Trace("term", names, steps.time, values)
 
 
 def _actions(steps: PolicyStream, contract: PolicyContract | None) -> _Trace:
-    """Actions less the one that asks for the reference, where that is observed."""
+    """Actions minus the one that commands the reference, if that is observed."""
     names = [f"the action of {short_name(joint)}" for joint in JOINT_NAMES]
     values = steps.action.astype(np.float64)
     asked = steps.terms.get("motion_command")
@@ -246,7 +246,7 @@ def _actions(steps: PolicyStream, contract: PolicyContract | None) -> _Trace:
 
 
 def _contacts(session: Session, steps: PolicyStream) -> Iterator[_Trace]:
-    """How much higher each sole is than the reference's, where the base is published."""
+    """Height of each sole above the reference's, if the base is published."""
     base, measured, reference = session.base, session.measured, session.reference
     if base is None:
         return
@@ -271,7 +271,7 @@ def _contacts(session: Session, steps: PolicyStream) -> Iterator[_Trace]:
 
 
 def _left(traces: list[_Trace], fall: float, window: float) -> Iterator[Sign]:
-    """What is, until the fall, farther from the middle of its range than ever before it."""
+    """Values that stay further from the middle of their range before the fall than ever before."""
     for kind, names, time, values in traces:
         before, late = time < fall - window, (time >= fall - window) & (time <= fall)
         if before.sum() < 2 or not late.any() or names[0].startswith((*_ASKED, _REPEATED)):
@@ -279,19 +279,19 @@ def _left(traces: list[_Trace], fall: float, window: float) -> Iterator[Sign]:
         least, most = values[before].min(axis=0), values[before].max(axis=0)
         half = np.maximum(0.5 * (most - least), _FLOORS.get(kind, 1e-9))
         far = np.abs(values[late] - 0.5 * (most + least)) > _FARTHER * half
-        # What a motion brings for a moment comes back; what leads to a fall does not.
+        # Short excursions in a motion return to the range; those that lead to a fall do not.
         first = {of: _since(time[late], far[:, of], fall) for of in np.flatnonzero(far.any(axis=0))}
         known = {of: at for of, at in first.items() if at is not None}
         if known:
             of = min(known, key=lambda one: (known[one], -np.abs(values[late][-1, one])))
             value = values[time == known[of]][0, of]
             usual = f"{least[of]:.3g} to {most[of]:.3g}"
-            what = f"{names[of]} was {value:.3g}, in all the run before {usual}"
+            what = f"{names[of]} was {value:.3g}, before that always {usual}"
             yield Sign(kind=kind, what=what, time_s=float(known[of]))
 
 
 def _since(time: Floats, far: NDArray[np.bool_], fall: float) -> float | None:
-    """Since when it is far until the fall, but for moments; None where it came back."""
+    """Start of the time that is `far` until the fall, except short moments; None if it returned."""
     rows = np.flatnonzero(far)
     back = np.flatnonzero(np.diff(np.append(time[rows], fall)) > _BACK)
     first = int(back[-1]) + 1 if len(back) else 0
@@ -351,14 +351,14 @@ def _saturated(of: _AtLimit, begin: float, end: float) -> dict[str, float]:
 
 
 def _runs(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """First and last index of each stretch of True."""
+    """First and last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         yield first, after - 1
 
 
 def _first(signs: list[Sign]) -> list[Sign]:
-    """The first of each kind, in order of time."""
+    """The first sign of each kind, in order of time."""
     found: dict[str, Sign] = {}
     for one in sorted(signs, key=lambda sign: sign.time_s):
         found.setdefault(one.kind, one)
@@ -366,7 +366,7 @@ def _first(signs: list[Sign]) -> list[Sign]:
 
 
 def _fall(session: Session) -> tuple[float, str] | None:
-    """When the robot fell while it played or held, and how that is told."""
+    """Time of a fall in PLAY or HOLD, and how it was detected."""
     if not session.topics.get("/reference") or not session.topics.get("/lowstate"):
         return None
     measured, reference = session.measured, session.reference

@@ -1,1 +1,1 @@
-"""Pages on sessions, and the comparison of sessions."""
+"""HTML reports of sessions, and comparisons of sessions."""

@@ -1,4 +1,4 @@
-"""Two sets of sessions of one motion, metric by metric."""
+"""Comparison of two sets of sessions of the same motion, metric by metric."""
 
 from __future__ import annotations
 
@@ -50,34 +50,34 @@ CONDITION_NAMES: Final = (
     *(f"rmse.{part}" for part in _PARTS),
     *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
 )
-"""What a condition on a comparison can name; of sessions that lack some of it, less."""
+"""The names for conditions on a comparison; sessions may lack the data for some."""
 
-#: References of one motion differ by no more than this at the same motion time, rad.
+#: Largest difference of two references of the same motion at the same motion time, rad.
 _SAME_MOTION: Final = 0.01
-#: Sessions that were played from and to within this, s, have played the same: a few LowStates.
+#: Sessions whose start and end differ by less have played the same part, s: a few LowStates.
 _SAME_INTERVAL: Final = 0.1
-#: A common part shorter than this, s, is none.
+#: Shortest common part, s.
 _SHORTEST: Final = 0.1
-#: Motion times at which references are compared, Hz.
+#: Rate of the motion times at which references are compared, Hz.
 _RATE: Final = 20.0
 
 _SIGNED: Final = {"delay"}
 
 
 class Comparison(Record):
-    """Sessions of one motion beside others.
+    """Comparison of sessions of a motion with others.
 
     Attributes:
-        motion: its name.
+        motion: name of the motion.
         base, other: paths of the sessions.
-        start_s, stop_s: the part of the motion that all of them played, which is compared.
-        metrics: of all joints that played in every session, by the name that --fail-if takes.
-        limbs, joints: RMSE, rad, by name; the joints that differ most first, significantly at the
-            top.
+        start_s, stop_s: the compared part of the motion, which all sessions played.
+        metrics: over all joints that played in every session, by the name for --fail-if.
+        limbs, joints: RMSE, rad, by name; the joints with significant differences first, then by
+            size of the difference.
         terms: mean and standard deviation of each term that a learned policy observed, such as
-            `std of joint_vel_rel`; empty where not all sessions have one.
-        differs: what else differs between the sides, such as `gains.kp of waist` -> what it was in
-            each.
+            `std of joint_vel_rel`; empty if a session has no policy.
+        differs: other differences between the sides, such as `gains.kp of waist` -> the value on
+            each side.
     """
 
     motion: str
@@ -92,7 +92,7 @@ class Comparison(Record):
     differs: dict[str, tuple[str, str]]
 
     def __str__(self) -> str:
-        """The verdict, what is compared, what else differs, and the differences."""
+        """The verdict, the compared part, other differences, and the table."""
         kinds: tuple[dict[str, Difference], ...] = (
             self.metrics,
             {f"RMSE {name.replace('_', ' ')}": one for name, one in self.limbs.items()},
@@ -118,7 +118,7 @@ class Comparison(Record):
         ]
         below = (
             "change: other - base, in % of base or, from tenfold on, other / base; in the unit "
-            f"where a share says nothing; joints: the {_MOST_JOINTS} whose RMSE differs most, "
+            f"if a percentage has no meaning; joints: the {_MOST_JOINTS} whose RMSE differs most, "
             "significant ones first; *: significant. "
             f"{significance(self)}"
         )
@@ -127,7 +127,7 @@ class Comparison(Record):
         )
 
     def named(self) -> tuple[dict[str, float], dict[str, float]]:
-        """What a condition can name, and what `base` stands for beside it.
+        """The values that a condition can name, and the values of `base` for them.
 
         The first are those of the other side, such as `rmse` and `rmse.left_leg`, and the adjusted
         p-values of the differences, such as `p.rmse` and `p.left_leg`.
@@ -155,24 +155,23 @@ def compare(
 
     Args:
         base: one or several sessions, or their files.
-        other: those that are compared with them.
-        page: of an HTML page, which is written too: it shows both sides over each other and needs
-            no network.
-        force: replace a page that is there.
-        progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
+        other: one or several sessions, or their files, to compare with them.
+        page: path of an HTML page to write, which overlays both sides and needs no network.
+        force: replace an existing page.
+        progress: called with a label and the fraction done, 0 to 1.
 
     Returns:
-        The differences. Two sessions or more on each side tell noise from change; with one on a
-        side nothing can.
+        The differences. Noise and change can only be distinguished with two or more sessions on
+        each side.
 
     Raises:
         ConfigError: the page does not end in .html.
-        RecordingError: a session has no tracking error, its motion is another one, no joint
-            played in all of them, or two of a side are the same; or the page cannot be written.
+        RecordingError: a session has no tracking error or another motion, no joint played in
+            all of them, or two on a side are the same; or the page cannot be written.
     """
     if page is not None:
         check_suffix(Path(page), "a page", ".html")
-        check_output_path(Path(page), force=force)  # before all sessions are read
+        check_output_path(Path(page), force=force)  # before the sessions are read
     several = [[side] if isinstance(side, (Session, str, Path)) else side for side in (base, other)]
     if not all(several):
         raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
@@ -223,22 +222,22 @@ def compare(
 
 
 class _Run(NamedTuple):
-    """What is kept of a session; its samples are not, as many sessions would fill the memory."""
+    """The data that is kept of a session. Samples are not kept, to save memory."""
 
     source: Session | str | Path
     path: str
     motion: str
-    start: float  # motion time that was played, s
+    start: float  # motion time at the start of the played part, s
     stop: float
-    rows: NDArray[np.intp]  # (T,) motion times of `reference`, in steps of a grid that runs share
+    rows: NDArray[np.intp]  # (T,) motion times of `reference`, in steps of a common grid
     reference: Floats  # (T, 29) rad
-    joints: tuple[int, ...]  # motor indices of those that played
+    joints: tuple[int, ...]  # motor indices of the joints that played
     metrics: Metrics  # of the whole session
     measured: bytes  # hash of all joint positions and their times
-    facts: dict[str, str]  # what may make a difference, beside the motion
+    facts: dict[str, str]  # possible causes of a difference, beside the motion
 
     def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
-        """Of some joints in a part of the motion; in the whole session if it played little else."""
+        """Metrics of some joints in a part; of the whole session if it played little else."""
         whole = max(start - self.start, self.stop - stop) < _SAME_INTERVAL
         if whole and joints == self.joints:
             return self.metrics
@@ -287,25 +286,25 @@ def _read(source: Session | str | Path) -> _Run:
 def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
     return RecordingError(
         f"{run.path} ({run.motion}) and the others have no part of a motion in common: the last "
-        f"began at {start:.2f} s of it, the first ended at {stop:.2f} s.",
+        f"one began at {start:.2f} s of it, the first one ended at {stop:.2f} s.",
         "Compare sessions that played the same part of a motion.",
     )
 
 
 def _require_different(side: Sequence[_Run]) -> None:
-    """One run given twice would be two without any noise: every difference from it significant."""
+    """Refuse a run given twice: without noise every difference from it would be significant."""
     first: dict[bytes, _Run] = {}
     for run in side:
         if (same := first.setdefault(run.measured, run)) is not run:
             raise RecordingError(
-                f"{same.path} and {run.path} are one run: their measurements are the same.",
-                "Give each run once; rollouts differ only with another `noise`, such as "
+                f"{same.path} and {run.path} are the same run: their measurements are equal.",
+                "Give each run once; rollouts only differ with another `noise`, such as "
                 "SensorNoise(seed=1).",
             )
 
 
 def _require_same_motion(first: _Run, other: _Run) -> None:
-    """What was asked at each motion time says it, whatever names and files say."""
+    """Compare the references at each motion time, whatever the names and files are."""
     _, rows, other_rows = np.intersect1d(first.rows, other.rows, return_indices=True)
     joints = sorted({*first.joints} & {*other.joints})
     difference = first.reference[rows] - other.reference[other_rows]
@@ -314,11 +313,11 @@ def _require_same_motion(first: _Run, other: _Run) -> None:
         return
     reason = "they have no part of a motion in common"
     if len(rows):
-        reason = f"at the same motion time their references are up to {apart:.2f} rad apart"
+        reason = f"their references differ by up to {apart:.2f} rad at the same motion time"
     raise RecordingError(
-        f"{first.path} ({first.motion}) and {other.path} ({other.motion}) are not sessions of one "
-        f"motion: {reason}.",
-        "Compare sessions of one motion, played at the same speed.",
+        f"{first.path} ({first.motion}) and {other.path} ({other.motion}) are not sessions of the "
+        f"same motion: {reason}.",
+        "Compare sessions of the same motion, played at the same speed.",
     )
 
 
@@ -328,7 +327,7 @@ def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
 
 
 def _terms(sides: Sequence[Sequence[_Run]], start: float, stop: float) -> dict[str, Difference]:
-    """Of what a policy observed in a part of the motion, by figure and term."""
+    """Differences of a policy's observations in a part of the motion, by statistic and term."""
     figures: list[list[dict[str, float | None]]] = []
     for side in sides:
         figures.append([])
@@ -353,10 +352,10 @@ def _terms(sides: Sequence[Sequence[_Run]], start: float, stop: float) -> dict[s
 
 
 def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
-    """By name, what the sessions of the two sides do not have in common."""
+    """Differences between the two sides in settings and versions, by name."""
     sides = [[run.facts for run in side] for side in (base, other)]
     every = [one for side in sides for one in side]
-    # Of a recording that lacks its settings, nothing says that they were others.
+    # Recordings without settings do not show whether these were different.
     shown = {
         name: tuple(", ".join(dict.fromkeys(one[name] for one in side)) for side in sides)
         for name in every[0]
@@ -366,7 +365,7 @@ def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tup
 
 
 def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
-    """What may make a difference, beside the motion; what is not known is left out."""
+    """Possible causes of a difference, beside the motion; unknown ones are omitted."""
     info = read_record(SessionInfo, dict(session.metadata))[0] or SessionInfo()
     if stream := summary.stream:
         known = {
@@ -398,16 +397,16 @@ SIGNIFICANT: Final = 0.05
 
 
 class Difference(Record):
-    """A figure on both sides.
+    """A metric on both sides.
 
     Attributes:
-        unit: of the values.
+        unit: unit of the values.
         base, other: mean over the sessions of a side.
-        base_values, other_values: of each session.
-        change: (other - base) / base; None where base is 0, or the figure can have either sign, so
-            that a share of it says nothing.
-        p: of Welch's t-test; None with one session on a side.
-        p_adjusted: by Holm's method, over the figures of the same kind.
+        base_values, other_values: value of each session.
+        change: (other - base) / base; None if base is 0, or if the metric can have either sign, so
+            that a percentage has no meaning.
+        p: p-value of Welch's t-test; None with one session on a side.
+        p_adjusted: by Holm's method, over the metrics of the same kind.
     """
 
     unit: str
@@ -428,7 +427,7 @@ class Difference(Record):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def significant(self) -> bool | None:
-        """Whether it is more than the noise from run to run; None where that cannot be told."""
+        """Whether it exceeds the noise from run to run; None if that is unknown."""
         return None if self.p_adjusted is None else self.p_adjusted < SIGNIFICANT
 
 
@@ -437,9 +436,9 @@ def differences(
     units: Mapping[str, str],
     signed: Collection[str] = (),
 ) -> dict[str, Difference]:
-    """Of the figures that all sessions of both sides have, by name, tested together.
+    """Differences of the metrics that all sessions have, by name, tested together.
 
-    What has no unit is in rad; `signed` figures can have either sign.
+    The default unit is rad; `signed` metrics can have either sign.
     """
     found: dict[str, Difference] = {}
     for name in sides[0][0]:
@@ -456,7 +455,8 @@ def differences(
             change=(other - base) / base if base and name not in signed else None,
             p=_welch(*map(np.array, values)),
         )
-    # Holm: the k-th smallest of n p-values counts n + 1 - k times, and no less than those before.
+    # Holm: the k-th smallest of n p-values is multiplied by n + 1 - k, and at least the previous
+    # one.
     ordered = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
     least = 0.0
     for i, one in enumerate(ordered):
@@ -466,9 +466,9 @@ def differences(
 
 
 def ranked(found: Mapping[str, Difference]) -> dict[str, Difference]:
-    """Significant differences first, and of each kind the greatest first.
+    """Sort by significance, then by the size of the difference.
 
-    A share of the base would put a joint first that follows to 1e-7 rad on one side.
+    A sort by percentage would put joints with a base of 1e-7 rad first.
     """
     key = lambda one: (not one[1].significant, -abs(one[1].difference))  # noqa: E731
     return dict(sorted(found.items(), key=key))
@@ -482,7 +482,7 @@ def _welch(a: Floats, b: Floats) -> float | None:
         return None
     errors = [one.var(ddof=1) / len(one) for one in (a, b)]
     apart, error = abs(a.mean() - b.mean()), sum(errors)
-    # A figure that is the same in all sessions of a side, such as a rate, has no noise.
+    # A metric that is equal in all sessions of a side, such as a rate, has no noise.
     if error <= np.square(1e-12 * np.abs(np.concatenate([a, b])).max()):
         return 1.0 if apart <= 1e-12 * np.abs(a).max() else 0.0
     degrees = error**2 / sum(
@@ -491,11 +491,11 @@ def _welch(a: Floats, b: Floats) -> float | None:
     return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
 
 
-#: Joints whose RMSE differs most.
+#: Number of joints in the table.
 _MOST_JOINTS: Final = 8
-#: From this share of the base on a change is said as how many times the base.
+#: From this fraction of the base on a change is printed as a factor.
 _MANY_TIMES: Final = 9.0
-#: Significant digits of an RMSE, and with how many it can be told from another.
+#: Significant digits of an RMSE, and the most digits to distinguish two of them.
 _FEWEST_DIGITS, _MOST_DIGITS = 4, 7
 
 
@@ -511,7 +511,7 @@ def _row(name: str, one: Difference) -> tuple[str, ...]:
 
 
 def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
-    """What became of the tracking error, in one sentence."""
+    """The change of the tracking error, in one sentence."""
     rmse, joints = comparison.metrics["rmse"], comparison.joints.values()
     base, other = (math.degrees(x) if unit == "deg" else x for x in (rmse.base, rmse.other))
     for digits in range(_FEWEST_DIGITS, _MOST_DIGITS + 1):
@@ -526,8 +526,8 @@ def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
     if figures[0] == figures[1] and not rmse.significant:
         return f"{text}."
     if rmse.p_adjusted is None:
-        return f"{text}; whether that is more than noise, one session on a side cannot tell."
-    noise = "more than" if rmse.significant else "which cannot be told from"
+        return f"{text}; with one session on a side it is unknown whether this is noise."
+    noise = "more than" if rmse.significant else "which does not exceed"
     closer = sum(bool(one.significant) and one.difference < 0.0 for one in joints)
     farther = sum(bool(one.significant) and one.difference > 0.0 for one in joints)
     return (
@@ -538,20 +538,20 @@ def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
 
 
 def compared(comparison: Comparison) -> str:
-    """Which part of which motion is compared."""
+    """The compared part of the motion."""
     return f"{comparison.motion}, {comparison.start_s:.2f} to {comparison.stop_s:.2f} s"
 
 
 def significance(comparison: Comparison) -> str:
-    """What the p-values are, or why there are none."""
+    """An explanation of the p-values, or of their absence."""
     sides = len(comparison.base), len(comparison.other)
     if min(sides) < 2:
         return (
-            f"With {sides[0]} and {sides[1]} sessions no difference can be told from the noise "
-            "between runs: give two or more on each side."
+            f"With {sides[0]} and {sides[1]} sessions no difference can be distinguished from the "
+            "noise between runs: give two or more on each side."
         )
     return (
-        f"Significant is p < {SIGNIFICANT:g} in Welch's t-test on {sides[0]} and {sides[1]} "
+        f"Significant means p < {SIGNIFICANT:g} in Welch's t-test on {sides[0]} and {sides[1]} "
         "sessions, adjusted for the number of rows of a kind (Holm)."
     )
 
@@ -560,7 +560,7 @@ def _p(value: float) -> str:
     return "<0.001" if value < 0.001 else f"{value:.3f}"
 
 
-#: Of all lines of a joint together, so that a page of many sessions is no larger.
+#: Most points for all lines of a joint, so that a page with many sessions is not larger.
 _MOST_POINTS: Final = 8000
 #: Colours of base and other.
 _COLOURS: Final = ("#0072b2", "#d55e00")
@@ -574,7 +574,7 @@ def write_page(
     *,
     force: bool = False,
 ) -> None:
-    """Write the page of a comparison of sessions, or of their files, for these motor indices."""
+    """Write the page of a comparison of sessions, or their files, for these motor indices."""
     with complete_file(path, force=force) as temporary:
         drawn = _drawn(comparison, sources, list(joints))
         rmse = comparison.metrics["rmse"]
@@ -586,7 +586,7 @@ def write_page(
             heading=f"Comparison: {comparison.motion}",
             overview=None,
             verdict=verdict(comparison, "deg"),
-            good=worse if rmse.significant else "",  # else it may be noise
+            good=worse if rmse.significant else "",  # otherwise it may be noise
             compared=[
                 ("motion", compared(comparison)),
                 ("base", ", ".join(comparison.base)),
@@ -604,9 +604,9 @@ def write_page(
 def _drawn(
     comparison: Comparison, sources: Sequence[Sequence[Session | str | Path]], joints: list[int]
 ) -> dict[str, Any]:
-    """What the page's script draws; times are s of the motion, angles degrees.
+    """Data for the page's script; times are s of the motion, angles degrees.
 
-    Signals are reduced, without losing a peak, so that the page does not grow with the sessions.
+    Signals are reduced without losing a peak, so that the page does not grow with the sessions.
     """
     lines: list[dict[str, Any]] = []
     reference: list[dict[str, str]] = []
@@ -651,7 +651,7 @@ def _curves(time: Floats, values: Floats, most: int) -> list[dict[str, str]]:
 
 
 def _of_each_joint(comparison: Comparison, side: str) -> list[list[float] | None]:
-    """By motor index the RMSE of each session of a side, deg; None for a joint not compared."""
+    """RMSE of each session of a side, deg, by motor index; None for a joint not compared."""
     of = comparison.joints
     return [
         np.degrees(getattr(of[name], f"{side}_values")).tolist() if name in of else None

@@ -1,4 +1,4 @@
-"""`g1stream compare`: sessions of a motion beside others."""
+"""`g1stream compare`: compares sessions of the same motion."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(SessionFlags):
-    """Compares sessions of one motion, over the part of it that all of them played.
+    """Compares sessions of the same motion, over the part that all of them played.
 
-    With two or more sessions on each side it tells which differences are more than the noise from
-    run to run (Welch's t-test, adjusted by Holm's method). A condition names a metric of the table,
+    With two or more sessions on each side it shows which differences exceed the noise from run to
+    run (Welch's t-test, adjusted by Holm's method). A condition names a metric of the table,
     `rmse.left_leg` or `rmse.left_knee_joint`, or the p-value of a difference: `p.rmse`,
     `p.left_leg` or `p.left_knee_joint`. `base` is the base's mean of the same metric.
 
@@ -34,22 +34,20 @@ class Compare(SessionFlags):
 
     Exit codes:
       0  compared
-      1  a condition of --fail-if holds, or the sessions do not have what it names
-      2  bad input: not sessions of one motion, a condition that cannot be used,
+      1  a condition of --fail-if holds, or the sessions lack its metric
+      2  bad input: not sessions of the same motion, an invalid condition,
          a page that cannot be written
     """
 
     base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")
     other: tuple[Path, ...] = flag(
-        MISSING, "Session files that are compared with them.", "OTHER...", aliases=("--with",)
+        MISSING, "Session files to compare with the base.", "OTHER...", aliases=("--with",)
     )
-    out: Path | None = flag(
-        None, "A page that shows both sides over each other.", "HTML", aliases=("-o",)
-    )
-    force: bool = flag(False, "Replace a page that is there.")
+    out: Path | None = flag(None, "Write a page that overlays both sides.", "HTML", aliases=("-o",))
+    force: bool = flag(False, "Replace an existing page.")
     fail_if: list[str] = flag(
         (),
-        "Exit code 1 where this holds: NAME OP NUMBER, or NAME OP NUMBER * base, OP one of "
+        "Exit code 1 if this holds: NAME OP NUMBER, or NAME OP NUMBER * base, OP one of "
         "< <= > >=. May be repeated.",
         "CONDITION",
         shown="none",
@@ -63,21 +61,21 @@ class Compare(SessionFlags):
 
         if not self.base or not self.other:
             raise ConfigError(
-                "Sessions on two sides are needed.",
+                "Sessions on both sides are needed.",
                 "Give both: g1stream compare BASE... --with OTHER...",
             )
         with_base = [name for name in CONDITION_NAMES if not name.startswith("p.")]
-        # Refused now, and not when all sessions are read.
+        # Checked before the sessions are read.
         conditions = [FailIf.parse(text, CONDITION_NAMES, with_base) for text in self.fail_if]
         tested = [one.name for one in conditions if one.name not in with_base]
         if tested and min(len(self.base), len(self.other)) < 2:
             raise ConfigError(
-                f"{tested[0]} tells noise from change, and needs several sessions.",
+                f"{tested[0]} needs several sessions to estimate the noise.",
                 "Give two or more on each side.",
             )
         with showing_progress() as progress:
             sides: list[list[Session | Path]] = [[*self.base], [*self.other]]
-            if self.motion is not None:  # else each is opened and let go in its turn
+            if self.motion is not None:  # otherwise sessions are opened one at a time
                 sides = [[self.open(path) for path in side] for side in (self.base, self.other)]
             comparison = compare(*sides, page=self.out, force=self.force, progress=progress)
         other, base = comparison.named()
@@ -91,7 +89,7 @@ class Compare(SessionFlags):
                 verdict = {
                     False: "passed: {0.text} does not hold",
                     True: "FAILED: {0.text} holds",
-                    None: "FAILED: {0.text} cannot be told, not all sessions have {0.name}",
+                    None: "FAILED: {0.text} is unknown, because not all sessions have {0.name}",
                 }[truth]
                 print_lines(f"\n{verdict.format(one)}")
         return EXIT_STOPPED if failed else EXIT_OK

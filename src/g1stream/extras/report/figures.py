@@ -1,7 +1,7 @@
-"""What the figures of a report show: signals, events and histograms, ready for the page's script.
+"""Data of a report's figures for the page's script: signals, events and histograms.
 
 Times are in s on the motion's clock. Signals are reduced by `min_max`, so that a page does not grow
-with the length of a session, and no peak is lost.
+with the length of a session and no peak is lost.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _QUANTITIES: Final[tuple[Quantity, ...]] = ("q", "error", "tau")
 
 
 def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, Any]:
-    """What the page's script draws of a session; its keys are those that report.js reads.
+    """Data of a session's figures, with the keys that report.js reads.
 
     Arrays are float32 in base64.
     """
     signals, limbs = {}, []
-    for quantity in _QUANTITIES:  # one after the other: of a long session each is large
+    for quantity in _QUANTITIES:  # one at a time, to save memory in a long session
         shown = signal(session, quantity)
         signals[quantity] = _drawn(shown)
         if quantity == "error":
@@ -55,7 +55,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],
         "rmse_deg": _of_each_joint(errors),
         "torque_limits": _of_each_joint(limits),
-        "first_joint": JOINT_NAMES.index(worst) if worst else 0,  # until another is chosen
+        "first_joint": JOINT_NAMES.index(worst) if worst else 0,  # initial selection
         "phases": [
             {
                 "name": one.phase.name,
@@ -75,12 +75,12 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
 
 
 def _of_each_joint(values: Mapping[str, float]) -> list[float | None]:
-    """In motor order; None for a joint that has none, empty where no joint has."""
+    """Values in motor order; None for a joint without a value, empty without any value."""
     return [values.get(name) for name in JOINT_NAMES] if values else []
 
 
 def _events(session: Session) -> list[dict[str, Any]]:
-    """The log; where it is long, warnings and errors come before what else there is."""
+    """The log. A long one is shortened, with warnings and errors kept first."""
     log = sorted(session.log, key=lambda event: event.level in {"DEBUG", "INFO", "UNKNOWN"})
     return [
         {
@@ -103,7 +103,7 @@ def _drawn(shown: Signal) -> dict[str, Any]:
 
 
 def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
-    """The RMS error of each limb over time, of the joints that were played."""
+    """The RMS error of each limb over time, from the played joints."""
     limbs = {
         limb: [joint for joint in joints if JOINT_NAMES[joint] in played]
         for limb, joints in JOINT_GROUPS.items()
@@ -121,7 +121,7 @@ def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
 
 
 def _intervals(session: Session) -> list[dict[str, Any]]:
-    """The intervals between publish times, ms: a gap or a stall is a peak."""
+    """The intervals between publish times, ms. Gaps and stalls appear as peaks."""
     kinds = [kind for kind in (CommandStream, MeasuredStream) if session.topics.get(kind.topic)]
     times = {kind.topic: np.sort(session.stream(kind).time) for kind in kinds}
     return [
@@ -132,7 +132,7 @@ def _intervals(session: Session) -> list[dict[str, Any]]:
 
 
 def _steps(session: Session) -> list[dict[str, Any]]:
-    """The delays of each step of a policy, ms; empty where there are none."""
+    """The delays of each policy step, ms; empty without a policy."""
     steps = session.policy
     if steps is None or len(steps) < 2:
         return []
@@ -149,7 +149,7 @@ def _steps(session: Session) -> list[dict[str, Any]]:
 
 
 def _lateness(metrics: Metrics) -> list[dict[str, Any]]:
-    """Ticks by how late they were, in bins that widen: 10 to 20 us, 20 to 30, 30 to 50 ..."""
+    """Number of ticks by lateness, in bins of growing width: 10 to 20 us, 20 to 30, 30 to 50 ..."""
     histogram = metrics.timing.lateness_histogram_us or {}
     if not histogram:
         return []
@@ -167,7 +167,7 @@ def _lateness(metrics: Metrics) -> list[dict[str, Any]]:
 
 
 def curve(times: Floats, values: Floats, most: int = _MOST_POINTS) -> dict[str, str]:
-    """A line of a figure: samples that show its peaks, about `most` of them."""
+    """A line of a figure: about `most` samples that show its peaks."""
     shown = min_max(values, most)
     return {"x": _packed(times[shown]), "y": _packed(values[shown])}
 

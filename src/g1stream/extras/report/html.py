@@ -1,4 +1,4 @@
-"""Pages that need no network, from the templates in this directory."""
+"""HTML pages that need no network, from the templates in this directory."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from g1stream.text import printable, short_name
 
 
 def render_page(template: str, drawn: Sequence[Mapping[str, Any]], **values: Any) -> str:
-    """A page with the script that draws its figures.
+    """Render a page with the script that draws its figures.
 
-    Text is escaped, what a terminal would obey in it too: it may come from a file or a peer.
+    Text is escaped, including terminal control characters, because it may come from a file or peer.
     """
     jinja = import_extra("jinja2", "report", "A report needs")
     plotly = import_extra("plotly.offline", "report", "A report needs")
@@ -43,7 +43,7 @@ def render_page(template: str, drawn: Sequence[Mapping[str, Any]], **values: Any
 
 
 def joints_by_limb(shown: Container[str]) -> dict[str, dict[int, str]]:
-    """Of each limb the joints in `shown`, by motor index, as people write them."""
+    """The joints in `shown` by limb and motor index, with readable names."""
     limbs = {
         limb.replace("_", " "): {
             j: short_name(JOINT_NAMES[j]) for j in joints if JOINT_NAMES[j] in shown
@@ -58,6 +58,6 @@ def _packed(text: str) -> str:
 
 
 def _resource(jinja: Any, name: str) -> Any:
-    """A file of this directory, which is markup as it is."""
+    """A file of this directory, inserted without escaping."""
     text = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
     return jinja.utils.markupsafe.Markup(text)

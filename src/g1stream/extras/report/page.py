@@ -1,4 +1,4 @@
-"""The report of sessions: a page, or its numbers as JSON or CSV."""
+"""The report of sessions, as an HTML page, JSON or CSV."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 
 __all__ = ["numbers", "report"]
 
-#: A video or picture beside a session, of the same name, is shown; the first of these.
+#: Suffixes of the video or picture beside a session with its name; the first found is shown.
 _PICTURES: Final = (".mp4", ".gif", ".png")
 _LARGEST_PICTURE: Final = 50 * 2**20
 #: Supports with which the pelvis does not move as in the motion.
 _HELD: Final = {"bolted", "hanging"}
-#: Joints at their torque limits that are named.
+#: Number of joints at their torque limits that are listed.
 _MOST_SATURATED: Final = 5
-#: Frames per second at which the reference is looked at, where the motion is not attached.
+#: Rate at which the reference is sampled if no motion is attached, Hz.
 _FPS: Final = 30.0
-#: More would take seconds.
+#: Most frames for the physics; more would take seconds.
 _MOST_FRAMES: Final = 10_000
 
 
@@ -63,9 +63,9 @@ def report(
 
     Args:
         sessions: sessions, or their paths.
-        path: of the page.
-        force: replace a file that is there.
-        progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
+        path: path of the page.
+        force: replace an existing file.
+        progress: called with a label and the fraction done, 0 to 1.
 
     Raises:
         ConfigError: there are no sessions, or the path does not end in .html.
@@ -81,12 +81,12 @@ def report(
 def numbers(
     sessions: Given | Iterable[Given], progress: Progress = lambda what, fraction: None
 ) -> dict[str, Any]:
-    """The numbers of a report for JSON: summary, metrics, physics, policy of each session."""
+    """The report as JSON values: summary, metrics, physics and policy of each session."""
     return {"sessions": [_told(session, progress)[-1] for session in _opened(sessions)]}
 
 
 def to_csv(sessions: Given | Iterable[Given]) -> str:
-    """The metrics of sessions as CSV: a row for each, by session and key."""
+    """The metrics of sessions as CSV, a row for each session and key."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(("session", "key", "value"))
@@ -97,15 +97,15 @@ def to_csv(sessions: Given | Iterable[Given]) -> str:
 
 
 def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:
-    """The sessions, all of which can be opened; none is `page`.
+    """Open the sessions, after checking that all can be opened and none is `page`.
 
-    Each is let go after its turn, so that the samples of no more than one have to be in memory.
+    Each session is released after its turn, so that only one is in memory.
     """
     alone = isinstance(sessions, (Session, str, os.PathLike))
     given = cast("Iterable[Given]", [sessions] if alone else sessions)
     opened = [one if isinstance(one, Session) else open_session(one) for one in given]
     if not opened:
-        raise ConfigError("There is no session to report on.", "Name a session file.")
+        raise ConfigError("There is no session to report on.", "Give a session file.")
     if page:
         check_not_input(page, *(session.path for session in opened))
     return (opened.pop(0) for _ in range(len(opened)))
@@ -114,8 +114,8 @@ def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iter
 def _told(
     session: Session, progress: Progress
 ) -> tuple[Metrics, Summary, MotionPhysics | str, PolicySteps | None, dict[str, Any]]:
-    """What is told of a session, and the same as values for JSON."""
-    # The metrics read all columns that are needed, the summary alone only some.
+    """The content of a session's report, and the same as JSON values."""
+    # The metrics read all columns that are needed; the summary needs only some of them.
     metrics, summary = session.metrics(), session.summary()
     physics = session_physics(session, summary, partial(progress, "physics"))
     policy = policy_steps(session)
@@ -161,11 +161,11 @@ def _section(
     physics: MotionPhysics | str,
     session: str,
 ) -> dict[str, Any]:
-    """What the template shows of a session."""
+    """A session's section for the template."""
     support = summary.stream.support if summary.stream else None
     held = support in _HELD and metrics["body"] is not None
     about_held = (
-        f"The pelvis was held ({support}): its own errors, and those in the world, are left out."
+        f"The pelvis was held ({support}), so its own errors and those in the world are omitted."
     )
     facts = session_facts(summary)
     if summary.versions:
@@ -191,7 +191,7 @@ def _section(
 def _physics(
     physics: MotionPhysics | str, support: StreamSupport | None, key: str, session: str
 ) -> dict[str, Any]:
-    """What the template shows of the physics: as the pelvis was held, or of all ways to hold it."""
+    """The physics for the template, for the support of the session or for all supports."""
     if isinstance(physics, str):
         names = "facts", "excesses", "feet", "peaks", "collided", "collisions", "rest"
         return {"missing": physics, **dict.fromkeys(names)}
@@ -217,19 +217,19 @@ def _physics(
 
 
 def _asked(verdict: Verdict) -> str:
-    """What a motion that was played asked of the robot."""
+    """Whether a played motion exceeded the robot's limits."""
     beyond = ", ".join(dict.fromkeys(excess.cause for excess in verdict.excesses))
-    return f"beyond what a robot can follow: {beyond}" if beyond else "within what a robot can do"
+    return f"beyond the robot's limits: {beyond}" if beyond else "within the robot's limits"
 
 
 def _policy(policy: PolicySteps | None, key: str) -> dict[str, Any] | None:
-    """What the template shows of the steps of a policy; None where there are none."""
+    """The policy's steps for the template; None without a policy."""
     if policy is None:
         return None
     step = 1e3 * policy.step_s
     full = list(policy.saturated.items())[:_MOST_SATURATED]
     facts = {
-        "policy": policy.policy or "not known",
+        "policy": policy.policy or "unknown",
         "steps": f"{policy.steps} of {step:g} ms",
         "late": f"{counted(policy.late, 'interval')} between steps of 1.5 steps or more"
         if policy.late
@@ -254,10 +254,10 @@ def _policy(policy: PolicySteps | None, key: str) -> dict[str, Any] | None:
 def session_physics(
     session: Session, summary: Summary, progress: Callable[[float], None]
 ) -> MotionPhysics | str:
-    """What it takes to play the motion of a session, or why that is not told.
+    """The physics of a session's motion, or the reason why they are missing.
 
-    It is that of the played frames of the attached motion where that was played as it is, else that
-    of the reference; or of what `convert` made of a motion.
+    They are computed from the attached motion's played frames if it was played unchanged,
+    otherwise from the reference, or from the motion that `convert` converted.
     """
     if played(summary.phases) > 1:
         return "Several motions were played."
@@ -271,14 +271,14 @@ def session_physics(
         if len(frames) > _MOST_FRAMES:
             return (
                 f"{len(frames)} frames were played, more than the {_MOST_FRAMES} that a report "
-                f"takes the time for: g1stream physics {session.path.name}."
+                f"analyses: run g1stream physics {session.path.name}."
             )
         max_tilt = (summary.settings or {}).get("safety.max_tilt")
         return motion_physics(
             motion or session.motion(fps),
             session.robot,
             max_tilt=max_tilt if isinstance(max_tilt, float) else None,
-            frames=frames if motion else None,  # the reference has no others
+            frames=frames if motion else None,  # the reference has no other frames
             progress=progress,
         )
     except (MotionError, RecordingError, RobotError) as error:
@@ -286,7 +286,7 @@ def session_physics(
 
 
 def _picture(session: Session) -> dict[str, str]:
-    """The video or picture beside a session file; none beside a session in memory."""
+    """The video or picture beside a session file; empty for a session in memory."""
     shown = {"missing": "", "video": "", "image": ""}
     paths = [session.path.with_suffix(suffix) for suffix in _PICTURES] if session.paths else []
     if path := next(filter(Path.is_file, paths), None):

@@ -1,4 +1,4 @@
-"""`g1stream report`: how sessions went, as a page, JSON or CSV."""
+"""`g1stream report`: reports on sessions as an HTML page, JSON or CSV."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
 
-#: The page that is written if none is named.
+#: The default page.
 _PAGE: Final = Path("report.html")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report(SessionFlags, QuietFlag):
-    """The page needs no network: what ran, tracking by joint and limb, body space, torque, what
-    the motion asks of a robot, timing, events, and figures of every joint. A video or picture
-    beside a session, of the same name, is shown in it.
+    """The page needs no network. It shows the run, the tracking error by joint and limb, body-space
+    metrics, torque, the physics of the motion, timing, events, and figures of every joint. It
+    includes a video or picture beside a session with the same name.
 
     Examples:
       g1stream report session.mcap
@@ -35,7 +35,7 @@ class Report(SessionFlags, QuietFlag):
         "Session files, or directories of split recordings.", "SESSION..."
     )
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
-    force: bool = flag(False, "Replace a file that is there.")
+    force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
     csv: bool = flag(False, "Print the metrics as CSV; no page.")
 
@@ -46,9 +46,9 @@ class Report(SessionFlags, QuietFlag):
 
         if self.json + self.csv + bool(self.out) > 1:
             raise ConfigError(
-                "Two of --json, --csv and a page (--out) are asked for.", "Ask for one of them."
+                "Only one of --json, --csv and --out can be given.", "Choose one of them."
             )
-        sessions = map(self.open, self.sessions)  # one after the other: each may be large
+        sessions = map(self.open, self.sessions)  # one at a time, because each may be large
         if self.csv:
             print(to_csv(sessions), end="")
             return EXIT_OK

@@ -1,4 +1,4 @@
-"""The tables of the pages: which numbers of the JSON they show, in which unit."""
+"""The tables of the pages: columns, units, and their keys in the JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from g1stream.types import StreamSupport
 
 _DEG: Final = 180.0 / math.pi
-#: Torques of each support, and pairs of links, that are shown.
+#: Number of torques of each support, and of colliding links, that are shown.
 _MOST_PEAKS: Final = 3
 _MOST_PAIRS: Final = 12
 
@@ -25,16 +25,16 @@ _MOST_PAIRS: Final = 12
 class Column:
     """A column of a table."""
 
-    title: str  # of its head
+    title: str  # heading
     unit: str
-    key: str  # of the value in what the row shows; with dots where it is deeper
-    form: str = ".0f"  # of a number, as `format` takes it
-    scale: float = 1.0  # from the unit of the JSON to that shown
-    words: Mapping[str, str] | None = None  # what is shown for a text
+    key: str  # key of the value in the row's data, with dots for nested keys
+    form: str = ".0f"  # format specification of a number
+    scale: float = 1.0  # factor from the unit of the JSON to the shown unit
+    words: Mapping[str, str] | None = None  # replacements for text values
 
 
 class Cell(NamedTuple):
-    """A value as the JSON of the report has it, its key there, and what is shown of it."""
+    """A value in the report's JSON, its key there, and its displayed text."""
 
     value: str
     key: str
@@ -44,9 +44,9 @@ class Cell(NamedTuple):
 class Table(NamedTuple):
     """A table of values, as the template `macros.html` draws it."""
 
-    head: str  # of the first column, which has names
-    columns: Sequence[Column]  # the others
-    # a name, and a cell for each column; None where the value is not known
+    head: str  # heading of the first column, which has the names
+    columns: Sequence[Column]  # the other columns
+    # A name, and a cell for each column; None for an unknown value.
     rows: Sequence[tuple[str, Sequence[Cell | None]]]
 
 
@@ -156,7 +156,7 @@ _SUCCESS: Final = (
     Column("with BeyondMimic's limits", "", "success_strict"),
     Column("with SONIC's limits", "", "success_sonic"),
     Column("completed", "", "completed"),
-    Column("played", "% of what was asked", "progress", ".1f", 100.0),
+    Column("played", "% of the requested part", "progress", ".1f", 100.0),
     Column("mean distance of all links", "mm at most", "max_link_error_mm", ".1f"),
     Column("measured", "", "links", words=_SPACES),
     Column("spoilt by", "ms", "spoilt_by_ms"),
@@ -239,14 +239,14 @@ _PUNCTUALITY: Final = {
     "lateness_us": "lateness of writes",
     "interval_us": "interval between commands",
     "state_age_us": "age of the newest state at a command",
-    "state_to_command_us": "from the state that a command is made of to the command",
+    "state_to_command_us": "from the state that a command is computed from to the command",
 }
 
 
 def tables(metrics: Mapping[str, Any], key: str, *, held: bool = False) -> dict[str, Table | None]:
-    """The tables of a session's metrics, by name; None where there is nothing to show.
+    """The tables of a session's metrics, by name; None for an empty table.
 
-    Of a pelvis that was `held` nothing is shown that its own pose is in.
+    If the pelvis was `held`, values that depend on its own pose are omitted.
     """
 
     def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> Table | None:
@@ -280,13 +280,13 @@ def tables(metrics: Mapping[str, Any], key: str, *, held: bool = False) -> dict[
 
 
 def overview(sessions: Sequence[Mapping[str, Any]]) -> Table | None:
-    """A table with a row for each of several sessions, each as in the JSON of the report."""
+    """A table with a row for each of several sessions, given as JSON of the report."""
     rows = [(Path(one["path"]).name, f"sessions.{i}", one) for i, one in enumerate(sessions)]
     return table("session", _OVERVIEW, rows)
 
 
 def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
-    """The tables of a `Comparison` as JSON has it: angles of all joints, limbs, joints, metrics."""
+    """The tables of a `Comparison` in JSON: angles of all joints, limbs, joints, metrics."""
 
     def rows(kind: str, *, angles: bool) -> list[tuple[str, str, Any]]:
         values = comparison[kind].items()
@@ -305,9 +305,9 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
 def physics_tables(
     physics: MotionPhysics, supports: Sequence[StreamSupport], key: str
 ) -> dict[str, Any]:
-    """The tables of what the motion asks of a robot, and how many links are inside each other.
+    """The tables of a motion's physics, and the number of colliding links.
 
-    Excesses and torques are those with some of the supports.
+    Excesses and torques are those for some of the supports.
     """
     values = physics.model_dump(mode="json")
 
@@ -315,7 +315,7 @@ def physics_tables(
         rows = enumerate(values[path])
         return [(short_name(row["link"]), f"{key}.{path}.{i}", row) for i, row in rows]
 
-    # The same excess may speak against several supports: it is in the JSON of each.
+    # The same excess may apply to several supports; it is in the JSON of each.
     keys = {
         excess: f"{key}.verdicts.{one}.excesses.{i}"
         for one, verdict in physics.verdicts.items()
@@ -338,15 +338,14 @@ def physics_tables(
         "feet": table("foot", _FEET, each("feet")),
         "peaks": table("support", _PEAKS, peaks),
         "collisions": table("link", _COLLISIONS, collisions[:_MOST_PAIRS]),
-        "collided": f"{counted(len(collisions), 'pair')} of links that are inside each other"
-        f"{deepest}",
+        "collided": f"{counted(len(collisions), 'pair')} of colliding links{deepest}",
     }
 
 
 def policy_tables(policy: Mapping[str, Any], key: str) -> dict[str, Table | None]:
-    """The tables of a `PolicySteps` as JSON has it: delays, and the terms of the observation.
+    """The tables of a `PolicySteps` in JSON: delays, and the terms of the observation.
 
-    After a fall, the terms that were farthest from what they had been come first.
+    After a fall, the terms that deviated most come first.
     """
     delays = [
         (name, f"{key}.{field}", policy[field])
@@ -364,7 +363,7 @@ def policy_tables(policy: Mapping[str, Any], key: str) -> dict[str, Table | None
 def table(
     head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]
 ) -> Table | None:
-    """A table; columns without a value are left out, and without any there is none."""
+    """A table without empty columns; None if all columns are empty."""
     rows = list(rows)
     columns = [c for c in columns if any(_at(row, c.key) not in (None, "") for _, _, row in rows)]
     if not columns:
@@ -386,17 +385,17 @@ def _cell(column: Column, key: str, value: Any) -> Cell | None:
     else:
         text = format(value * column.scale, column.form)
         if not float(text):
-            text = format(0.0, column.form)  # no minus before a zero
+            text = format(0.0, column.form)  # avoid "-0"
     return Cell(json.dumps(value), key, text)
 
 
 def _plain(name: str) -> str:
-    """A joint, link or limb as people write it; a topic as it is."""
+    """A readable name of a joint, link or limb; topics are unchanged."""
     return name if name.startswith("/") else short_name(name)
 
 
 def _at(values: Any, path: str) -> Any:
-    """What is at a path of keys in nested dicts; None where there is nothing."""
+    """The value at a path of keys in nested dicts; None if it is missing."""
     for part in path.split("."):
         values = values.get(part) if isinstance(values, dict) else None
     return values

@@ -29,24 +29,24 @@ from g1stream.session.recorded_motion import (
 )
 from g1stream.session.source import FilesSource
 
-#: Messages that are taken at once.
+#: Number of messages per batch.
 _ROWS: Final = 100
 
 
 def open_bag(file: MotionFile) -> RecordedMotion:
-    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml."""
+    """Open a bag: an MCAP or SQLite file, or a directory with metadata.yaml."""
     parts = parts_of(file.path)
-    # The reader of sessions, unlike rosbags', reads what was written before a recorder was killed.
+    # Unlike rosbags, the session reader can read files of a killed recorder.
     in_mcap = begins_with(parts[0], b"\x89MCAP")
     files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(file.path)]
     return RecordedMotion(file, files, DECODERS)
 
 
 class BagSource(FilesSource):
-    """A bag in SQLite, or a compressed one, as a session; it has one time for each message.
+    """A bag in SQLite, or compressed, as a session; messages have only one time.
 
     Args:
-        path: of the file, or of the directory with metadata.yaml.
+        path: path of the file, or of the directory with metadata.yaml.
 
     Raises:
         RecordingError: it cannot be read.
@@ -58,12 +58,12 @@ class BagSource(FilesSource):
         self._read_from([_Bag(path)])
 
     def attachments(self) -> dict[str, bytes]:
-        """None: a bag has no files."""
+        """Empty, because a bag has no attachments."""
         return {}
 
 
 class _Bag:
-    """A bag in SQLite, or a compressed one, as a file of a recording; see `RecordingFile`."""
+    """A bag in SQLite, or compressed, as a `RecordingFile`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -96,7 +96,7 @@ class _Bag:
         try:
             with Reader(self._path) as reader:
                 yield reader
-        except Exception as error:  # of SQLite, of YAML, of zstd, and of whatever a field makes
+        except Exception as error:  # errors of SQLite, YAML, zstd, and of damaged fields
             raise RecordingError(
                 f"{self._path} cannot be read as a bag of ROS 2: {' '.join(str(error).split())}.",
                 "Record it again, or as MCAP.",
@@ -106,7 +106,7 @@ class _Bag:
 def _decoded(data: bytes, kind: str) -> Any:
     try:
         return STORE.deserialize_cdr(data, kind)
-    except Exception as error:  # SerdeError, and what damaged lengths and texts make
+    except Exception as error:  # SerdeError, and errors of damaged lengths and strings
         raise ValueError(str(error)) from error
 
 

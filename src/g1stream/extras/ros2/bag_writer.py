@@ -1,8 +1,8 @@
-"""A session as a ROS 2 bag: a directory as rosbag2 writes it, with messages of ROS 2 only, in CDR.
+"""Writes a session as a ROS 2 bag: a directory as from rosbag2, with only ROS messages in CDR.
 
-The samples of DDS and the URDF are in CDR already and keep their bytes. Transforms, joint states
-and log lines, which session files have in Foxglove's protobuf, become ROS's messages on the topics
-where its tools look for them. Every message keeps its log and publish time.
+DDS samples and the URDF are already in CDR and are kept byte for byte. Transforms, joint states and
+log messages, which session files have in Foxglove's protobuf, become ROS messages on the topics
+that ROS tools expect. Every message keeps its log and publish time.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from g1stream.view.encoders import MEASURED_PREFIX
 
 @dataclass(frozen=True)
 class Ros2Report:
-    """What was written."""
+    """Result of writing a bag."""
 
     path: Path  # the directory
-    size: int  # of its MCAP file, bytes
+    size: int  # size of its MCAP file, bytes
     counts: dict[str, int]  # messages by topic
-    # messages by topic of the session that no message of ROS's was made of
+    # Messages by session topic without a ROS message type.
     left_out: dict[str, int]
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as JSON can say them."""
+        """The fields as JSON values."""
         return asdict(self) | {"path": str(self.path)}
 
 
@@ -62,10 +62,10 @@ def write_ros2_bag(
     compression: Compression = "zstd",
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Ros2Report:
-    """Write a session as a ROS 2 bag. A failure leaves nothing behind."""
+    """Write a session as a ROS 2 bag. Nothing is written if it fails."""
     source, out = SessionFiles(session), parts_directory(out)
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
-        raise RecordingError(f"The output {out} holds the session.", "Choose another directory.")
+        raise RecordingError(f"The output {out} contains the session.", "Choose another directory.")
     check_recording_path(out, split=True, force=force)
     place = temporary_path(out)
     total, done = max(1, sum(source.topics.values())), 0
@@ -98,7 +98,7 @@ def write_ros2_bag(
 
 
 class _Output(NamedTuple):
-    """Where a topic's messages go, and what makes them of the session's; None keeps their bytes."""
+    """The output topic of a channel, and the conversion of its messages; None keeps the bytes."""
 
     channel: Channel
     convert: Callable[[bytes], bytes] | None = None
@@ -111,7 +111,7 @@ def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]
         return [output.convert(one) for one in data]
     except (DecodeError, SerdeError, ValueError, struct.error) as error:
         raise RecordingError(
-            f"A message of {topic} in {session} is not as g1stream writes it.",
+            f"A message of {topic} in {session} does not have g1stream's format.",
             "Give a session that g1stream recorded.",
         ) from error
 
@@ -137,13 +137,13 @@ def _log(data: bytes) -> bytes:
 
 
 def _description(data: bytes) -> bytes:
-    """The URDF without the prefix of its links, which RViz has a setting for."""
+    """The URDF without the prefix of its links, because RViz has a setting for it."""
     message: Any = STORE.deserialize_cdr(data, "std_msgs/msg/String")
     return encode_string(message.data.replace(f'"{MEASURED_PREFIX}', '"'))
 
 
 def _output(source: Channel) -> _Output | None:
-    """What becomes of a channel of a session; None where ROS has no message for it."""
+    """The output for a channel of a session; None if ROS has no message type for it."""
     if source.message_encoding == "cdr":
         return _Output(source)
     if source.schema_name not in _CONVERTERS:
@@ -170,8 +170,8 @@ _CONVERTERS: Final = {
     ),
     "foxglove.Log": ("rcl_interfaces/msg/Log", "/rosout", _log),
 }
-"""By schema of a session's channel: ROS's message, the topic where ROS's tools look for it (None:
-the session's own), and what makes it."""
+"""By schema of a session's channel: the ROS message type, the topic that ROS tools expect (None:
+the session's own), and the conversion."""
 
 _OUTPUTS: Final = {
     topic: output for topic, channel in CHANNELS.items() if (output := _output(channel))

@@ -1,4 +1,4 @@
-"""ROS 2's messages in CDR, by rosbags; as arguments, times are ns since the epoch."""
+"""ROS 2 messages in CDR, encoded with rosbags. Times in arguments are ns since the epoch."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rosbags.typesys.stores import ros2_humble as ros
 from g1stream.session.recorded_motion import FramePose
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
-"""The definitions of ROS 2's messages; those used here are the same in every ROS 2 since Foxy."""
+"""The definitions of ROS 2 messages. Those used here are equal in every ROS 2 since Foxy."""
 
 
 def encode(message: Any) -> bytes:
-    """A message in CDR."""
+    """Encode a message in CDR."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 

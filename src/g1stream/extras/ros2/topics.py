@@ -1,7 +1,7 @@
-"""Publish the measured robot and its ghost as ROS 2 does, so that RViz shows them.
+"""Publishes the measured robot and its ghost on ROS 2 topics for RViz.
 
-It runs as a process of its own beside the program that starts it. To the robot and to the stream it
-is one more subscriber, best effort, so that neither waits for it.
+It runs in a child process. For the robot and the stream it is another best-effort subscriber, so
+that neither waits for it.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from g1stream.view.measured_base import MeasuredBase
 class Ros2Topic:
     """A topic of ROS 2 on DDS.
 
-    There it has the prefix `rt`, and the type of `tf2_msgs/msg/TFMessage` is called
+    On DDS it has the prefix `rt`, and the type `tf2_msgs/msg/TFMessage` has the name
     `tf2_msgs::msg::dds_::TFMessage_`
     (https://design.ros2.org/articles/topic_and_service_names.html).
     """
 
-    name: str  # on DDS
-    message: str  # its type, such as `std_msgs/msg/String`
-    depth: int  # how many messages a publisher of ROS keeps for slow subscribers
-    latched: bool = False  # the last message is kept for subscribers that come later, too
+    name: str  # name on DDS
+    message: str  # type, such as `std_msgs/msg/String`
+    depth: int  # number of messages that a ROS publisher keeps for slow subscribers
+    latched: bool = False  # the last message is also kept for later subscribers
 
     @property
     def idl_type(self) -> Any:
@@ -58,7 +58,7 @@ class Ros2Topic:
         return _idl_type(self.message)
 
 
-# With the depths of tf2_ros' TransformBroadcaster, joint_state_publisher, robot_state_publisher.
+# The depths are those of TransformBroadcaster, joint_state_publisher and robot_state_publisher.
 TF: Final = Ros2Topic("rt/tf", "tf2_msgs/msg/TFMessage", depth=100)
 JOINT_STATES: Final = Ros2Topic("rt/joint_states", "sensor_msgs/msg/JointState", depth=10)
 ROBOT_DESCRIPTION: Final = Ros2Topic(
@@ -87,8 +87,8 @@ def _idl_field(description: Any) -> Any:
 class _Publisher:
     """Publishes the newest state and reference for ROS 2.
 
-    The measured robot has the links' own names as frames, as RViz and other programs of ROS expect;
-    the ghost, the reference's joints on the measured pelvis, has the prefix `ghost/`.
+    The measured robot has the links' names as frames, as RViz and other ROS programs expect. The
+    ghost, with the reference's joints and the measured pelvis, has the prefix `ghost/`.
     """
 
     def __init__(self, participant: Participant, robot: G1) -> None:
@@ -107,7 +107,7 @@ class _Publisher:
         self._description.write(encode_string(robot.urdf))
 
     def publish(self) -> None:
-        """Publish what has been received since the last time."""
+        """Publish the data received since the last call."""
         if sample := self._references.take_latest():
             self._publish_ghost(sample)
         if sample := self._positions.take_latest():
@@ -147,7 +147,7 @@ class _Publisher:
 
 
 def _run_child(parent: Parent) -> None:
-    """Publish for the program that started this process: the startup message is its config."""
+    """Publish for a parent process. The startup message is its config."""
     lower_priority()
     config: Config = parent.startup_message
     robot = G1.load(config.robot)

@@ -1,4 +1,4 @@
-"""A session as a video or a picture: the measured robot, and the reference as a ghost over it."""
+"""Renders a session as a video or a picture of the measured robot, with the reference as ghost."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ from g1stream.types import Camera, Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
 
 AZIMUTHS: Final = {"front": 0.0, "oblique": 35.0, "left": 90.0, "back": 180.0, "right": 270.0}
-"""Where each `Camera` stands, degrees around the robot, 0 in front of it, 90 on its left."""
+"""The azimuth of each `Camera` around the robot, degrees: 0 in front of it, 90 on its left."""
 
-#: What is shown on is older than this, s, is said to be so.
+#: A state older than this, s, is labelled with its age.
 _OLD: Final = 0.1
-#: Red, green, blue and opacity of the ghost, and of a reference that is shown alone.
+#: Red, green, blue and opacity of the ghost, and of a reference shown alone.
 _GHOST: Final = (0.1, 0.6, 1.0, 0.3)
 _BLUE: Final = (0.1, 0.6, 1.0, 1.0)
-#: Behind the text.
+#: Colour behind the text.
 _GROUND: Final = (16, 20, 28, 190)
 _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
 
 
 @dataclass(frozen=True)
 class Video:
-    """What was rendered."""
+    """Result of rendering."""
 
-    path: Path  # of the file
-    frames: int  # how many pictures are in it
-    start: float  # s on the motion's clock, of the first
+    path: Path  # the written file
+    frames: int  # number of pictures
+    start: float  # time of the first picture on the motion's clock, s
     duration: float  # s
     shown: str  # "measured and ghost", "measured", or "reference"
-    meshes: bool  # the robot was drawn with meshes, not with primitive shapes
+    meshes: bool  # whether the robot was drawn with meshes, not primitive shapes
 
 
 def render(
@@ -63,7 +63,7 @@ def render(
     force: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Video:
-    """See `Session.render`; `progress` is called with what fraction is done."""
+    """See `Session.render`; `progress` is called with the fraction done."""
     suffix = path.suffix.lower()
     check_suffix(path, "a video", *_WRITERS)
     if suffix == ".mp4":
@@ -76,7 +76,7 @@ def render(
         )
     if suffix == ".mp4" and (width % 2 or height % 2):
         raise ConfigError(
-            f"A video cannot have {width} x {height} pixels: H.264 takes even numbers only.",
+            f"A video cannot have {width} x {height} pixels, because H.264 needs even numbers.",
             f"Use {width + width % 2} x {height + height % 2}.",
         )
     if not 0.0 < fps <= _HIGHEST_FPS:
@@ -108,7 +108,7 @@ def render(
 
 
 def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
-    """A picture with lines of text in its upper left corner, on a dark ground."""
+    """A picture with lines of text in its upper left corner, on a dark background."""
     picture = Image.fromarray(pixels)
     size = max(10.0, picture.height / 24)
     font, place = ImageFont.load_default(size), (size, 0.8 * size)
@@ -123,7 +123,7 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
 def _frame_times(
     session: Recording, start: float | None, duration: float | None, fps: float
 ) -> Floats:
-    """When each frame is, s on the motion's clock."""
+    """Times of the frames, s on the motion's clock."""
     kinds = (ReferenceStream, MeasuredStream)
     streams = [session.stream(kind) for kind in kinds if session.topics.get(kind.topic)]
     streams = [stream for stream in streams if len(stream)]
@@ -138,7 +138,7 @@ def _frame_times(
     length = end - start if duration is None else min(duration, end - start)
     if not (np.isfinite(start) and first - _OLD <= start <= end and length >= 0.0):
         raise RecordingError(
-            f"{session.path} has nothing at {start:g} s"
+            f"{session.path} has no data at {start:g} s"
             + (f" for {duration:g} s." if duration is not None else "."),
             f"It lasts from {first:.2f} s to {end:.2f} s on the motion's clock.",
         )
@@ -152,11 +152,11 @@ def _frame_times(
 
 
 class Poses:
-    """The robots of frames at T times, s on the motion's clock, and what is written beside them.
+    """Robot poses at T times, s on the motion's clock, and the text of each frame.
 
     Attributes:
-        shown: what the robots are.
-        robots: the measured robot with its ghost, or that of the two which is there.
+        shown: names of the shown robots.
+        robots: the measured robot with its ghost, or the one of the two that is available.
     """
 
     def __init__(self, session: Recording, times: Floats) -> None:
@@ -177,7 +177,7 @@ class Poses:
         if measured is None:
             return
         measured.read("q", "imu_quat_wxyz")
-        if reference is not None:  # before it, the yaw of the IMU is not known
+        if reference is not None:  # without it, the yaw offset of the IMU is unknown
             since = measured[measured.time >= reference.time.min()]
             measured = since if len(since) else measured
         done = measured[_latest(measured, times)]
@@ -196,7 +196,7 @@ class Poses:
             self._error = np.sqrt(np.mean(errors**2, axis=1))
 
     def text(self, frame: int) -> str:
-        """What is written into a frame, a line for each value."""
+        """The text of a frame, a line for each value."""
         rows = {"time": f"{self._times[frame]:.2f} s"}
         if self._phases:
             rows["phase"] = self._phases[frame]
@@ -210,7 +210,7 @@ class Poses:
 
 
 def _latest(stream: Stream, times: Floats) -> NDArray[np.intp]:
-    """(T,) indices of the samples that were the latest at these times."""
+    """(T,) indices of the latest samples at these times."""
     order = np.argsort(stream.time, kind="stable")
     before = np.searchsorted(stream.time[order], times, side="right") - 1
     latest: NDArray[np.intp] = order[before.clip(0)]
@@ -244,7 +244,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
         options = {"crf": "20", "movflags": "+faststart"}
         stream = container.add_stream("libx264", rate=rate, options=options)
         stream.width, stream.height = first.size
-        stream.pix_fmt = "yuv420p"  # what every player shows
+        stream.pix_fmt = "yuv420p"  # supported by every player
         for picture in chain([first], pictures):
             frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
             container.mux(stream.encode(frame))
@@ -253,9 +253,9 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
 
 def _write_gif(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
     first = next(pictures).quantize(128)
-    # With the colours of the first picture, files are smaller and nothing flickers.
+    # One palette for all pictures makes files smaller and avoids flicker.
     others = [one.quantize(palette=first, dither=Image.Dither.NONE) for one in pictures]
-    # GIF counts in hundredths of a second: each frame ends at the one that is nearest.
+    # GIF has a resolution of a hundredth of a second; frame ends are rounded to it.
     ends = np.round(np.arange(len(others) + 2) * 100 / fps) * 10
     durations = np.diff(ends).astype(int).tolist()
     first.save(path, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
@@ -266,4 +266,4 @@ def _write_png(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
 
 
 _WRITERS: Final = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}
-"""What writes pictures into a file, by its suffix."""
+"""Functions that write pictures to a file, by suffix."""

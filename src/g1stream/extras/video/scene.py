@@ -1,4 +1,4 @@
-"""Pictures of a robot and its ghost by `mujoco.Renderer`, without a display."""
+"""Renders a robot and its ghost with `mujoco.Renderer`, without a display."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from g1stream.robot.shapes import (
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 
-#: Groups of geoms: the robot, and its ghost, whose shapes are smaller.
+#: Groups of geoms: the robot, and its ghost with smaller shapes.
 _ROBOT, _GHOST = 1, 2
 _SKY: Final = ([0.95, 0.96, 0.98], [0.75, 0.8, 0.87])
 _FIELD_OF_VIEW: Final = 30.0
-#: How far the camera looks down, degrees.
+#: Downward angle of the camera, degrees.
 _ELEVATION: Final = -12.0
-#: How far a robot reaches beyond the origins of its links, and its head from its pelvis, m.
+#: Extent of a robot beyond the origins of its links, and of its head above its pelvis, m.
 _BEYOND_LINKS, _HEAD = 0.12, 0.6
 #: Height of a foot's link above its sole, m.
 _SOLE: Final = 0.03
@@ -46,17 +46,17 @@ class PosedRobot(NamedTuple):
 
     q: Floats  # (T, 29) rad, motor order
     pos: Floats  # (T, 3) m, pelvis in the world
-    quat_wxyz: Floats  # (T, 4) pelvis to world; zero is taken for upright
-    # red, green, blue and opacity of all shapes, 0 to 1; the robot's colours if None
+    quat_wxyz: Floats  # (T, 4) pelvis to world; zero means upright
+    # Red, green, blue and opacity of all shapes, 0 to 1; the robot's own colours if None.
     tint: tuple[float, float, float, float] | None = None
-    ghost: bool = False  # drawn over another one, and smaller
+    ghost: bool = False  # smaller, and drawn over another robot
 
 
 class Scene:
-    """Draws a robot in several poses at once, with a camera that follows the first of them.
+    """Draws several robots at once, with a camera that follows the first one.
 
-    It draws `meshes` where they are found, else primitive shapes. The camera stands at `azimuth`
-    degrees around the robot: 0 in front of how it stands in the first frame, 90 on its left.
+    It uses `meshes` if they are found, otherwise primitive shapes. The camera is at `azimuth`
+    degrees around the robot: 0 in front of its pose in the first frame, 90 on its left.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Scene:
             import mujoco
 
             if not os.environ.get("MUJOCO_GL"):
-                os.environ["MUJOCO_GL"] = "egl"  # unlike MuJoCo's own choice, it needs no display
+                os.environ["MUJOCO_GL"] = "egl"  # unlike MuJoCo's default, it needs no display
             reload(sys.modules[mujoco.Renderer.__module__].gl_context)  # this reads MUJOCO_GL
         self.meshes = has_meshes(robot)
         self._robots = [_with_numbers(posed) for posed in robots]
@@ -82,11 +82,11 @@ class Scene:
             self._renderer = mujoco.Renderer(self._model, size[1], size[0])
 
     def close(self) -> None:
-        """Free what OpenGL holds."""
+        """Free the OpenGL resources."""
         self._renderer.close()
 
     def draw(self, frame: int) -> NDArray[np.uint8]:
-        """A picture (height, width, 3), RGB, of the robots in a frame."""
+        """Draw the robots in a frame: a picture (height, width, 3), RGB."""
         import mujoco
 
         self._camera.lookat[:] = self._targets[frame]
@@ -103,7 +103,7 @@ class Scene:
                 not posed.ghost,
                 posed.ghost,
             )
-            if number == 0:  # with the floor and the light
+            if number == 0:  # the first scene has the floor and the light
                 self._renderer.update_scene(self._data, self._camera, self._options)
             else:
                 what = self._model, self._data, self._options, self._perturb
@@ -117,11 +117,11 @@ class Scene:
         return picture
 
     def _follow(self, robot: G1, size: tuple[int, int], azimuth: float) -> tuple[Floats, float]:
-        """Place the camera; what it looks at in each frame (T, 3), and how far to lift all, m."""
+        """Camera targets of the frames (T, 3), and the height by which everything is raised, m."""
         from scipy.ndimage import gaussian_filter1d
 
         leader = self._robots[0]
-        # Slower than the robot, so that the picture does not shake.
+        # Slower than the robot, so that the picture is steady.
         sigma = len(leader.pos) / 40
         targets: Floats = gaussian_filter1d(leader.pos, sigma, axis=0, mode="nearest")
         reach, lowest = _HEAD, np.inf
@@ -130,20 +130,20 @@ class Scene:
                 away = np.linalg.norm(poses.pos - targets[part, np.newaxis], axis=-1)
                 reach = max(reach, float(away.max()) + _BEYOND_LINKS)
                 lowest = min(lowest, float(poses.pos[..., 2].min()))
-        # The height of a robot may not be known, or it is bolted lower than it would stand.
+        # The robot's height may be unknown, or it is bolted lower than it would stand.
         lift = max(0.0, _SOLE - lowest)
         half = np.radians(_FIELD_OF_VIEW / 2) * min(1.0, size[0] / size[1])
         w, x, y, z = leader.quat_wxyz[0]
         heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         self._camera.distance = reach / np.sin(half)
-        self._camera.azimuth = heading + azimuth + 180.0  # that in which it looks
+        self._camera.azimuth = heading + azimuth + 180.0  # the viewing direction
         self._camera.elevation = _ELEVATION
         targets[:, 2] += lift
         return targets, lift
 
 
 def _with_numbers(posed: PosedRobot) -> PosedRobot:
-    """The pose with 0 for what is not finite, and unit quaternions."""
+    """The pose with 0 for non-finite values, and unit quaternions."""
     q, pos, quat = (np.nan_to_num(one, posinf=0.0, neginf=0.0) for one in posed[:3])
     norm = np.linalg.norm(quat, axis=1, keepdims=True)
     quat = np.where(norm > 0.0, quat / np.where(norm > 0.0, norm, 1.0), [1.0, 0.0, 0.0, 0.0])
@@ -154,9 +154,9 @@ def _with_numbers(posed: PosedRobot) -> PosedRobot:
 def _opengl_errors() -> Iterator[None]:
     try:
         yield
-    except Exception as error:  # a missing library raises whatever PyOpenGL makes of it
+    except Exception as error:  # PyOpenGL raises various errors for a missing library
         raise SimError(
-            f"There is no OpenGL to draw with: MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: "
+            f"OpenGL is not available: MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: "
             f"{' '.join(str(error).split())}.",
             "Install EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri), "
             "or set MUJOCO_GL to osmesa or glfw before the start.",
@@ -172,7 +172,7 @@ def _compile(robot: G1, size: tuple[int, int]) -> Any:
         _add_shapes(spec, robot)
         if not spec.geoms:
             raise RobotError(
-                f"There is nothing to draw of the robot {robot.source}: its URDF has no shapes.",
+                f"The robot {robot.source} cannot be drawn: its URDF has no shapes.",
                 "Give its links shapes, or the names of a G1's.",
             )
         add_floor_and_light(spec)
@@ -188,7 +188,7 @@ def _compile(robot: G1, size: tuple[int, int]) -> Any:
         visual = spec.visual
         visual.global_.offwidth, visual.global_.offheight = size
         visual.global_.fovy = _FIELD_OF_VIEW
-        # Without a GPU, smoothed edges would double the time that a frame takes.
+        # Without a GPU, antialiasing would double the time of a frame.
         visual.quality.offsamples, visual.quality.shadowsize = 0, 1024
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -222,13 +222,13 @@ def _add_shapes(spec: Any, robot: G1) -> None:
 
 
 def _meshes_of(robot: G1, visual: Visual) -> dict[int, dict[str, Any]]:
-    """A mesh as MuJoCo takes it, by group; what it takes to draw grows with its triangles."""
+    """A mesh for MuJoCo, by group; drawing time grows with the number of its triangles."""
     path = find_mesh(robot, visual.mesh)
     if path is None or path.suffix.lower() != ".stl":
         file = {"file": str(path), "scale": visual.size}
         return {_ROBOT: file, _GHOST: file}
     mesh = read_stl(path)
-    with suppress(ConfigError):  # without the library, it takes longer
+    with suppress(ConfigError):  # without the library, drawing is slower
         mesh = decimate(mesh)
     mesh = mesh.scaled(visual.size)
     return {

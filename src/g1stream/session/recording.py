@@ -55,6 +55,9 @@ CONVERTED: Final = "/reference/joint_states"
 
 _ESSENTIAL: Final = (ReferenceStream.topic, CommandStream.topic, MeasuredStream.topic)
 
+#: Rows that have room at once, 70 minutes at 500 Hz; a file may say that it has any number of them.
+_ROWS: Final = 2**21
+
 T = TypeVar("T")
 RecordingT = TypeVar("RecordingT", bound="Recording")
 
@@ -464,7 +467,7 @@ class Recording:
                 return {}
             rows = messages.data.rows() if isinstance(messages.data, Slices) else None
             found = self.samples(kind, messages.data if rows is None else rows)
-            return {name: found[path] for name, path in fields.items()}
+            return {name: found.shown(path) for name, path in fields.items()}
 
         read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}
@@ -475,13 +478,19 @@ class Recording:
         decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        found: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
         counts: Counter[str] = Counter()
         for topic, messages in self.source.batches(set(topics)):
-            counts[topic] += len(messages.log_times)
+            start, columns = counts[topic], found[topic]
+            counts[topic] = end = start + len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
             for name, values in (times | decode(topic, messages)).items():
-                parts[topic].setdefault(name, []).append(values)
+                column = columns.get(name, values[:0])
+                if end > len(column):
+                    n_rows = max(end, min(self.topics[topic], max(2 * end, _ROWS)))
+                    columns[name] = np.empty((n_rows, *values.shape[1:]), values.dtype)
+                    columns[name][:start] = column[:start]
+                columns[name][start:end] = values
         for topic in topics:
             if counts[topic] != self.topics[topic]:
                 n_messages = counted(self.topics[topic], "message")
@@ -489,11 +498,9 @@ class Recording:
                     f"{self.path} is damaged: of {n_messages} on {topic} it has {counts[topic]}.",
                     RECOVER,
                 )
-        # One after the other, as each is large in a long recording.
-        return {
-            topic: {name: read_only(np.concatenate(found.pop(name))) for name in list(found)}
-            for topic, found in parts.items()
-        }
+        for columns in found.values():
+            columns.update({name: read_only(column) for name, column in columns.items()})
+        return found
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):

@@ -19,9 +19,9 @@ from g1stream.analysis.body import (
     body_metrics,
     frames,
 )
-from g1stream.analysis.summarise import percentiles, played, summarise
+from g1stream.analysis.summarise import SUMMARY_COLUMNS, percentiles, played, summarise
 from g1stream.analysis.summary import TO_ITS_END, MessageStats, SuccessMetrics
-from g1stream.analysis.torque import TorqueMetrics, commanded_torque, torque_metrics
+from g1stream.analysis.torque import TorqueMetrics, torque_metrics
 from g1stream.analysis.tracking import (
     NothingToCompareError,
     TrackingSummary,
@@ -39,7 +39,6 @@ from g1stream.session.streams import (
     CommandStream,
     MeasuredStream,
     ReferenceStream,
-    TorsoImuStream,
     without_steps,
 )
 from g1stream.types import Floats, Ints
@@ -214,18 +213,13 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
 
 
 def _read(session: Recording) -> None:
-    """Read the columns that are needed in one pass, and with another what is made of commands."""
-    session.read(
-        {
-            ReferenceStream: REFERENCE_COLUMNS,
-            MeasuredStream: (*MEASURED_COLUMNS, "tau"),
-            BaseStream: (),
-            TorsoImuStream: ("publish_time",),
-        }
-    )
-    # Before anything else takes memory: the commands take much until their torque is known.
-    if session.topics.get(CommandStream.topic) and session.topics.get(MeasuredStream.topic):
-        commanded_torque(session)
+    """Read the columns that are needed in one pass, those of the summary among them."""
+    more = {
+        ReferenceStream: REFERENCE_COLUMNS,
+        MeasuredStream: (*MEASURED_COLUMNS, "tau"),
+        BaseStream: BaseStream.wire_fields(),
+    }
+    session.read({kind: (*names, *more.get(kind, ())) for kind, names in SUMMARY_COLUMNS.items()})
 
 
 def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:

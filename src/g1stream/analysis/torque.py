@@ -183,23 +183,27 @@ def commanded_torque(session: Recording) -> Floats:
     Args:
         session: with commands and states.
     """
-    measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
-    instants, times = measured.published, command.published
+    measured = session.measured.read("q", "dq")
+    instants, times = measured.published, session.command.published
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= MAX_GAP_NS)
-    torque = np.empty(measured.q.shape, command.tau.dtype)
-    for part in blocks(len(known)):
-        asked = {name: getattr(command, name)[newest[part]] for name in _COMMANDED}
+    torque = np.full(measured.q.shape, np.nan, np.float32)
+    states = np.flatnonzero(known)
+    states = states[np.argsort(newest[states], kind="stable")]
+    numbers = newest[states]
+    # The commands are not kept: those of an hour take 1 GB.
+    for start, asked in session.blocks(CommandStream, _COMMANDED):
+        first, end = np.searchsorted(numbers, (start, start + len(asked["q"])))
+        rows, at = states[first:end], numbers[first:end] - start
         with np.errstate(all="ignore"):
-            torque[part] = (
-                asked["tau"]
-                + asked["kp"] * (asked["q"] - measured.q[part])
-                + asked["kd"] * (asked["dq"] - measured.dq[part])
+            torque[rows] = (
+                asked["tau"][at]
+                + asked["kp"][at] * (asked["q"][at] - measured.q[rows])
+                + asked["kd"][at] * (asked["dq"][at] - measured.dq[rows])
             )
-        known[part] &= np.isfinite(torque[part]).all(axis=1)
-    torque[~known] = np.nan
+        torque[rows[~np.isfinite(torque[rows]).all(axis=1)]] = np.nan
     return torque
 
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, overload
+from weakref import finalize
 
 import fastcrc
 import numpy as np
@@ -51,7 +52,7 @@ R = TypeVar("R")
 
 _MOST_THREADS: Final = 4
 #: Chunks are decompressed some at a time, of together this many bytes at least.
-_GROUP: Final = 2**17
+_GROUP: Final = 2**18
 
 
 #: The most bytes of messages outside of chunks that are read together.
@@ -135,6 +136,28 @@ class ChannelInfo(NamedTuple):
     def build_schema(self) -> bytes:
         """The schema's data."""
         return self.schema_data
+
+
+class _Room:
+    """Memory that is used again as soon as nobody has an array in it any more.
+
+    To get as much from the operating system for each batch takes as long as the decompression.
+    """
+
+    def __init__(self) -> None:
+        self._free: list[NDArray[np.uint8]] = []
+
+    def take(self, size: int) -> NDArray[np.uint8]:
+        """(size,) uint8 of any values."""
+        try:
+            whole = self._free.pop()
+        except IndexError:
+            whole = np.empty(_LOOSE, np.uint8)
+        if len(whole) < size:
+            whole = np.empty(size, np.uint8)
+        taken = whole[:size]
+        finalize(taken, self._free.append, whole)
+        return taken
 
 
 class _Span(NamedTuple):
@@ -513,13 +536,12 @@ class McapFile:
         """
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
+        room = _Room()
         with open_mcap(self.path) as file:
 
             def read(group: list[_Chunk]) -> dict[int, Messages]:
                 ends = np.cumsum([self._size(chunk) for chunk in group])
-                # One piece of memory, which the allocator has again and again: many pieces cost
-                # threads as much time as the decompression.
-                records = np.empty(ends[-1], np.uint8).data
+                records = room.take(int(ends[-1])).data
                 offsets = []
                 for chunk, end in zip(group, ends.tolist(), strict=True):
                     data = records[end - chunk.size : end]

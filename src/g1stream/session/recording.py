@@ -261,29 +261,58 @@ class Recording:
         Raises:
             RecordingError: the file is damaged, or a stream has no such column.
         """
-        parts = {
-            kind: self.stream(kind)[rows]
-            for kind, (rows, columns) in wanted.items()
-            if self._whole is not None or not self.stream(kind).missing(*columns)
-        }
-        kinds = {kind.topic: kind for kind in wanted if kind not in parts}
-        data: dict[str, list[bytes]] = {topic: [] for topic in kinds}
-        begun: Counter[str] = Counter()
-        for topic, messages in self.source.batches(set(kinds)) if kinds else ():
-            inside = wanted[kinds[topic]][0] - begun[topic]
-            inside = inside[(inside >= 0) & (inside < len(messages.log_times))]
-            data[topic] += [messages.data[i] for i in inside.tolist()]
-            begun[topic] += len(messages.log_times)
-            if all(len(data[one]) == len(wanted[kind][0]) for one, kind in kinds.items()):
-                break  # what is left of the file is not wanted
-        for topic, kind in kinds.items():
-            rows, columns = wanted[kind]
-            found, whole = self.samples(kind, data[topic]), self.stream(kind)
-            paths = kind.wire_fields()
-            part = whole[rows]
-            part.keep({name: found[paths[name]] for name in columns})
-            parts[kind] = part
+        parts = {kind: self.stream(kind)[rows] for kind, (rows, _) in wanted.items()}
+        for kind, (rows, columns) in wanted.items():
+            missing = self.stream(kind).missing(*columns)
+            if not missing or self._whole is not None:
+                continue
+            found: dict[str, list[NDArray[Any]]] = {name: [] for name in missing}
+            for start, block in self.blocks(kind, missing):
+                end = start + len(block[missing[0]])
+                first, last = np.searchsorted(rows, (start, end))
+                for name, values in block.items():
+                    found[name].append(values[rows[first:last] - start])
+                if last == len(rows):
+                    break  # what is left of the file is not wanted
+            parts[kind].keep({name: np.concatenate(values) for name, values in found.items()})
         return parts
+
+    def blocks(
+        self, kind: type[Stream], columns: Sequence[str]
+    ) -> Iterator[tuple[int, Mapping[str, NDArray[Any]]]]:
+        """Columns of a stream, some samples at a time, of which none are kept.
+
+        Args:
+            kind: one of the values of `STREAMS`.
+            columns: names of those that come from the samples themselves.
+
+        Yields:
+            The number of the first sample, and the values (n, ...) by name, floats in any
+            precision.
+
+        Raises:
+            RecordingError: the file is damaged, or the topic is not in this session.
+        """
+        if self._whole is not None:
+            stream = self.stream(kind).read(*columns)
+            yield 0, {name: getattr(stream, name) for name in columns}
+            return
+        self._require(kind.topic)
+        start = 0
+        for _, messages in self.source.batches({kind.topic}):
+            yield start, self._fields(kind, columns, messages)
+            start += len(messages.log_times)
+
+    def _fields(
+        self, kind: type[Stream], columns: Sequence[str], messages: Messages
+    ) -> dict[str, NDArray[Any]]:
+        """Those columns that come from the samples themselves; views of them where it can be."""
+        paths = {name: path for name, path in kind.wire_fields().items() if name in columns}
+        if not paths:
+            return {}
+        rows = messages.data.rows() if isinstance(messages.data, Slices) else None
+        found = self.samples(kind, messages.data if rows is None else rows)
+        return {name: found.shown(path) for name, path in paths.items()}
 
     @cached_property
     def robot(self) -> G1:
@@ -460,14 +489,7 @@ class Recording:
         kinds = {kind.topic: kind for kind in wanted}
 
         def decode(topic: str, messages: Messages) -> dict[str, NDArray[Any]]:
-            kind = kinds[topic]
-            paths = {name: kind.wire_fields().get(name) for name in wanted[kind]}
-            fields = {name: path for name, path in paths.items() if path}  # times have none
-            if not fields:
-                return {}
-            rows = messages.data.rows() if isinstance(messages.data, Slices) else None
-            found = self.samples(kind, messages.data if rows is None else rows)
-            return {name: found.shown(path) for name, path in fields.items()}
+            return self._fields(kinds[topic], wanted[kinds[topic]], messages)
 
         read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}

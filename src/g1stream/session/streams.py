@@ -136,20 +136,6 @@ class Stream:
         for name in list(columns):  # one after the other: of a long recording each is large
             self.__dict__[name] = _as_float64(columns.pop(name))
 
-    def as_recorded(self: StreamT, *columns: str) -> StreamT:
-        """The same samples with these columns only, in the wire's precision: half the memory.
-
-        They are read anew, and this stream does not keep them.
-
-        Raises:
-            RecordingError: the file is damaged.
-        """
-        if self._load is None:
-            return self
-        found = self._load(list(dict.fromkeys((*_TIMES, *columns))))
-        self.__dict__.update({name: found[name] for name in _TIMES})
-        return type(self)(None, self._start, lambda: self.published, **found)
-
     if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
 
         def __getattr__(self, name: str) -> Any:

@@ -15,6 +15,7 @@ from g1stream.analysis.body import (
     FPS,
     MEASURED_COLUMNS,
     REFERENCE_COLUMNS,
+    ROOT_COLUMNS,
     BodyMetrics,
     body_metrics,
     frames,
@@ -181,6 +182,8 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
         except NothingToCompareError as error:
             missing["tracking"] = error.cause
     sampled = frames(session, found) if found else None
+    if sampled:  # which holds what is needed of these
+        session.reference.drop("dq", *ROOT_COLUMNS)
     body = torque = robot = None
     try:
         robot = session.robot
@@ -226,9 +229,10 @@ def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:
     """All figures of `ErrorStats`, of all joints, of limbs and of each joint."""
     found = tracking.summary()
     # As precise as the positions were recorded, and joint by joint in memory.
-    size = np.empty(tracking.reference.shape[::-1], np.float32)
+    size = np.empty((N_JOINTS, len(tracking.time)), np.float32)
     for part in blocks(len(tracking.time)):
-        size[:, part] = np.abs(tracking.reference[part] - tracking.measured[part]).T
+        asked, done = tracking.rows(part)
+        size[:, part] = np.abs(asked - done).T
     mae = size.mean(axis=1, dtype=np.float64)
     velocity, acceleration = _velocity_errors(sampled) if sampled else (None, None)
 

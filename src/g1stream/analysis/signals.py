@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.motions import motion_of
 from g1stream.session.streams import CommandStream, MeasuredStream, ReferenceStream
 from g1stream.types import Floats, Ints, Phase
@@ -18,6 +18,8 @@ from g1stream.view.encoders import JointStatesTemplate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from g1stream.session.recording import Recording
 
@@ -149,21 +151,23 @@ def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple
     lines = []
     if session.topics.get(ReferenceStream.topic):
         reference = session.reference.read("phase", column)
-        asked = _degrees(getattr(reference, column))
+        asked = _degrees(reference.recorded(column))
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
         lines.append(Line.from_samples("reference", reference.time, asked))
     elif session.topics.get(CommandStream.topic):
-        command = session.command.read(column)
-        lines.append(Line.from_samples("command", command.time, _degrees(getattr(command, column))))
+        command = session.command
+        lines.append(
+            Line.from_samples("command", command.time, _degrees(command.recorded(column)))
+        )
     elif column == "q" and session.converted:
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
         lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
     lines += _simulated(session, column)
     if session.topics.get(MeasuredStream.topic):
-        measured = session.measured.read(column)
+        measured = session.measured
         lines.append(
-            Line.from_samples("measured", measured.time, _degrees(getattr(measured, column)))
+            Line.from_samples("measured", measured.time, _degrees(measured.recorded(column)))
         )
     return tuple(lines)
 
@@ -190,15 +194,18 @@ def _errors(session: Recording) -> tuple[Line, ...]:
         found = tracking(session)
     except NothingToCompareError:
         return ()
-    error = _degrees(found.reference, found.measured)
+    error = np.empty((len(found.time), N_JOINTS), order="F")
+    for part in blocks(len(error)):
+        asked, done = found.rows(part)
+        error[part] = np.degrees(asked - done)
     return (Line.from_samples("reference - measured", found.time, error),)
 
 
-def _degrees(values: Floats, less: Floats | None = None) -> Floats:
-    """(N, 29) rad, or their difference, in degrees; each joint's follow one another in memory."""
+def _degrees(values: NDArray[Any]) -> Floats:
+    """(N, 29) rad in degrees; each joint's follow one another in memory."""
     degrees = np.empty(values.shape, order="F")
     for part in blocks(len(values)):
-        degrees[part] = np.degrees(values[part] if less is None else values[part] - less[part])
+        degrees[part] = np.degrees(values[part].astype(np.float64, copy=False))
     return degrees
 
 
@@ -209,5 +216,5 @@ def _torques(session: Recording) -> tuple[Line, ...]:
         if session.topics.get(CommandStream.topic):
             lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
         lines += _simulated(session, "tau")
-        lines.append(Line.from_samples("estimated", measured.time, measured.tau))
+        lines.append(Line.from_samples("estimated", measured.time, measured.recorded("tau")))
     return tuple(lines)

@@ -52,7 +52,7 @@ class Line(NamedTuple):
     Attributes:
         name: what it is, such as "measured".
         time: (N,) s on the motion's clock, rising.
-        values: (N, 29) in the unit of the signal, nan where there are none; each joint's follow one
+        values: (N, J) in the unit of the signal, nan where there are none; each joint's follow one
             another in memory.
     """
 
@@ -74,7 +74,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One quantity of all joints.
+    """One quantity of joints.
 
     Attributes:
         title, unit: of the axis.
@@ -91,19 +91,26 @@ class Signal:
         return f"{self.title}, {self.unit}"
 
 
-def signal(session: Recording, quantity: Quantity) -> Signal:
-    """A quantity of the joints of a session; without lines where nothing of it was recorded.
+def signal(
+    session: Recording, quantity: Quantity, joints: Sequence[int] = range(N_JOINTS)
+) -> Signal:
+    """A quantity of joints of a session; without lines where nothing of it was recorded.
 
     Positions, velocities and errors are in degrees. The torque asked for is that of
     `Session.commanded_torque`.
+
+    Args:
+        session: of any kind.
+        quantity: which.
+        joints: motor indices; of a long session a few joints at a time take less memory.
     """
-    makers: dict[Quantity, Callable[[Recording], Signal]] = {
-        "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
-        "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
-        "tau": lambda one: Signal("torque", "N·m", _torques(one)),
-        "error": lambda one: Signal("error", "deg", _errors(one)),
+    makers: dict[Quantity, Callable[[], Signal]] = {
+        "q": lambda: Signal("position", "deg", _asked_and_measured(session, "q", joints)),
+        "dq": lambda: Signal("velocity", "deg/s", _asked_and_measured(session, "dq", joints)),
+        "tau": lambda: Signal("torque", "N·m", _torques(session, joints)),
+        "error": lambda: Signal("error", "deg", _errors(session, joints)),
     }
-    return makers[quantity](session)
+    return makers[quantity]()
 
 
 def chosen_quantities(names: Sequence[str]) -> list[Quantity]:
@@ -147,32 +154,34 @@ def min_max(values: Floats, most: int) -> Ints:
     return indices
 
 
-def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple[Line, ...]:
+def _asked_and_measured(
+    session: Recording, column: Literal["q", "dq"], joints: Sequence[int]
+) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(ReferenceStream.topic):
         reference = session.reference.read("phase", column)
-        asked = _degrees(reference.recorded(column))
+        asked = _degrees(reference.recorded(column), joints)
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
         lines.append(Line.from_samples("reference", reference.time, asked))
     elif session.topics.get(CommandStream.topic):
         command = session.command
-        lines.append(
-            Line.from_samples("command", command.time, _degrees(command.recorded(column)))
-        )
+        degrees = _degrees(command.recorded(column), joints)
+        lines.append(Line.from_samples("command", command.time, degrees))
     elif column == "q" and session.converted:
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
-        lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
-    lines += _simulated(session, column)
+        lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos, joints)))
+    lines += _simulated(session, column, joints)
     if session.topics.get(MeasuredStream.topic):
         measured = session.measured
-        lines.append(
-            Line.from_samples("measured", measured.time, _degrees(measured.recorded(column)))
-        )
+        degrees = _degrees(measured.recorded(column), joints)
+        lines.append(Line.from_samples("measured", measured.time, degrees))
     return tuple(lines)
 
 
-def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Line]:
+def _simulated(
+    session: Recording, column: Literal["q", "dq", "tau"], joints: Sequence[int]
+) -> list[Line]:
     """What `g1stream simulate` added to the session, in the unit of the signal; or nothing."""
     if not session.topics.get(SIMULATED):
         return []
@@ -186,35 +195,37 @@ def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Li
         ) from error
     chosen = values[:, :, ("q", "dq", "tau").index(column)]
     time = session.times[SIMULATED].time
-    return [Line.from_samples("simulated", time, chosen if column == "tau" else _degrees(chosen))]
+    chosen = chosen[:, joints] if column == "tau" else _degrees(chosen, joints)
+    return [Line.from_samples("simulated", time, chosen)]
 
 
-def _errors(session: Recording) -> tuple[Line, ...]:
+def _errors(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
     try:
         found = tracking(session)
     except NothingToCompareError:
         return ()
-    error = np.empty((len(found.time), N_JOINTS), order="F")
-    for part in blocks(len(error)):
-        asked, done = found.rows(part)
-        error[part] = np.degrees(asked - done)
+    error = np.empty((len(found.time), len(joints)), order="F")
+    for i, joint in enumerate(joints):
+        error[:, i] = np.degrees(found.error_of(joint))
     return (Line.from_samples("reference - measured", found.time, error),)
 
 
-def _degrees(values: NDArray[Any]) -> Floats:
-    """(N, 29) rad in degrees; each joint's follow one another in memory."""
-    degrees = np.empty(values.shape, order="F")
+def _degrees(values: NDArray[Any], joints: Sequence[int]) -> Floats:
+    """(N, J) rad in degrees, of (N, 29); each joint's follow one another in memory."""
+    degrees = np.empty((len(values), len(joints)), order="F")
     for part in blocks(len(values)):
-        degrees[part] = np.degrees(values[part].astype(np.float64, copy=False))
+        degrees[part] = np.degrees(values[part][:, joints].astype(np.float64, copy=False))
     return degrees
 
 
-def _torques(session: Recording) -> tuple[Line, ...]:
+def _torques(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(MeasuredStream.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(CommandStream.topic):
-            lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
-        lines += _simulated(session, "tau")
-        lines.append(Line.from_samples("estimated", measured.time, measured.recorded("tau")))
+            asked = commanded_torque(session)[:, joints]
+            lines.append(Line.from_samples("commanded", measured.time, asked))
+        lines += _simulated(session, "tau", joints)
+        estimated = measured.recorded("tau")[:, joints]
+        lines.append(Line.from_samples("estimated", measured.time, estimated))
     return tuple(lines)

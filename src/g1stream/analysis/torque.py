@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -136,9 +136,7 @@ def torque_metrics(
             beyond += (np.abs(asked[there]) > limits).sum(axis=0)
     n = len(chosen)
     # Joint by joint: the absolute values of all of them would take as much memory as the torques.
-    p99 = [
-        np.percentile(np.abs(measured.rows("tau", (chosen, joint))), 99.0) for joint in counted
-    ]
+    p99 = [np.percentile(np.abs(measured.rows("tau", (chosen, joint))), 99.0) for joint in counted]
     columns: dict[str, Floats] = {
         "limit_nm": limits[counted],
         "rms_nm": np.sqrt(squares / n)[counted],
@@ -191,7 +189,7 @@ def commanded_torque(session: Recording) -> Floats:
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= MAX_GAP_NS)
-    torque = np.full((len(known), N_JOINTS), np.nan, np.float32)
+    torque: NDArray[Any] = np.full((len(known), N_JOINTS), np.nan, np.float32)
     states = np.flatnonzero(known)
     states = states[np.argsort(newest[states], kind="stable")]
     numbers = newest[states]

@@ -268,22 +268,25 @@ class Tracking(JointErrors):
     @property
     def measured(self) -> Floats:
         """(N, 29) rad."""
-        return self.positions[self.states].astype(np.float64)
+        done: Floats = self.positions[self.states].astype(np.float64)
+        return done
 
     @property
     def error(self) -> Floats:
         """(N, 29) rad, reference - measured."""
-        asked, done = self.rows(slice(None))
-        return asked - done
+        return self.reference - self.measured
 
     def rows(self, index: slice | NDArray[np.intp]) -> tuple[Floats, NDArray[Any]]:
         """(K, 29) rad, reference and measured of some of the N, the latter as it was recorded."""
-        return self.around.where(index).interpolate(self.targets), self.positions[self.states[index]]
+        return self.around.where(index).interpolate(self.targets), self.positions[
+            self.states[index]
+        ]
 
     def error_of(self, joint: int) -> Floats:
         """(N,) rad, reference - measured of a joint, by its motor index."""
         asked = self.around.interpolate(self.targets[:, joint, np.newaxis])[:, 0]
-        return asked - self.positions[self.states, joint]
+        error: Floats = asked - self.positions[self.states, joint]
+        return error
 
     def summary(self) -> TrackingSummary:
         """The figures, without the arrays."""

@@ -98,9 +98,7 @@ class Stream:
         published: Callable[[], Ints] | None = None,
         **columns: NDArray[Any],
     ) -> None:
-        self.__dict__.update(
-            columns, _load=load, _start=start, _published=published, _recorded={}
-        )
+        self.__dict__.update(columns, _load=load, _start=start, _published=published, _recorded={})
 
     @classmethod
     def wire_fields(cls) -> dict[str, str]:
@@ -134,9 +132,7 @@ class Stream:
                 f"Choose from {', '.join((*_TIMES, *known))}.",
             )
         wanted = dict.fromkeys((*_TIMES, *(columns or known)))
-        return [
-            name for name in wanted if name not in self.__dict__ and name not in self._recorded
-        ]
+        return [name for name in wanted if name not in self.__dict__ and name not in self._recorded]
 
     def keep(self, columns: dict[str, NDArray[Any]]) -> None:
         """Take in columns that were read, floats in any precision."""
@@ -613,9 +609,9 @@ class Neighbours(NamedTuple):
     gap: Ints
     weight: Floats
 
-    def where(self, mask: NDArray[np.bool_] | slice) -> Neighbours:
-        """Some of the instants, by a mask (K,) or a slice."""
-        return Neighbours._make(values[mask] for values in self)
+    def where(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Neighbours:
+        """Some of the instants, by a mask (K,), indices or a slice."""
+        return Neighbours._make(values[index] for values in self)
 
     def interpolate(self, values: NDArray[Any]) -> Floats:
         """(K, J) the samples' values (R, J) at the instants, linearly interpolated."""

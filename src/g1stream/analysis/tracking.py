@@ -278,9 +278,8 @@ class Tracking(JointErrors):
 
     def rows(self, index: slice | NDArray[np.intp]) -> tuple[Floats, NDArray[Any]]:
         """(K, 29) rad, reference and measured of some of the N, the latter as it was recorded."""
-        return self.around.where(index).interpolate(self.targets), self.positions[
-            self.states[index]
-        ]
+        asked = self.around.where(index).interpolate(self.targets)
+        return asked, self.positions[self.states[index]]
 
     def error_of(self, joint: int) -> Floats:
         """(N,) rad, reference - measured of a joint, by its motor index."""

@@ -209,3 +209,18 @@ def test_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch):
     kept = [messages.data for _, messages in McapFile(path).batches({"/a"})]
     assert len(kept) > 8
     assert [data for one in kept for data in one] == [data for *_, data in stock(path, "/a")]
+
+
+@pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
+def test_a_message_is_found_without_what_comes_before_it(tmp_path, index):
+    file = McapFile(write(tmp_path / "f.mcap", index_types=index))
+    every = ours(file, "/a")
+    for number in (0, 1, 50, len(every) - 1):
+        chunk, before = file.place_of("/a", number)
+        found = [data for _, messages in file.batches({"/a"}, chunk) for data in messages.data]
+        assert found == [data for *_, data in every[before:]]
+        assert before <= number
+        if index == IndexType.ALL:  # the channel of /a is the first
+            assert number < before + file._chunks[chunk].index[1][1]
+        else:
+            assert (chunk, before) == (0, 0)

@@ -203,7 +203,7 @@ def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
     return ReadDataStream(BytesIO(_read_at(file, record.start, record.length)))
 
 
-def _decompress(content: memoryview, records: memoryview) -> None:
+def _decompress(content: memoryview, records: memoryview, zstd: zstandard.ZstdDecompressor) -> None:
     """Decompress the records in a chunk, from the content of its own record, to where they fit."""
     _, _, size, crc, name_length = _CHUNK.unpack_from(content)
     if size != len(records):
@@ -214,7 +214,7 @@ def _decompress(content: memoryview, records: memoryview) -> None:
     data = data[_LENGTH.size :][:data_length]
     # Neither decompressor may make more than the chunk says: a frame has a size of its own.
     if compression == b"zstd" and zstandard.frame_content_size(data) == size:
-        found = zstandard.ZstdDecompressor().stream_reader(data).readinto(records)
+        found = zstd.stream_reader(data).readinto(records)
     elif compression == b"zstd" and zstandard.frame_content_size(data) == -1:
         found = _copied(zstandard.decompress(data, max_output_size=size), records)
     elif compression == b"lz4":
@@ -528,24 +528,32 @@ class McapFile:
             return None, None
         return about.message_start_time, about.message_end_time
 
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+    def batches(self, topics: set[str], first_chunk: int = 0) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, in batches of one topic; those of a topic are in order.
+
+        Args:
+            topics: names.
+            first_chunk: earlier ones are left out; see `place_of`.
 
         Raises:
             RecordingError: a chunk is damaged.
         """
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
-        chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
+        chunks = [
+            chunk
+            for chunk in self._chunks[first_chunk:]
+            if not chunk.index or not channels.isdisjoint(chunk.index)
+        ]
         room = _Room()
         with open_mcap(self.path) as file:
 
             def read(group: list[_Chunk]) -> dict[int, Messages]:
                 ends = np.cumsum([self._size(chunk) for chunk in group])
                 records = room.take(int(ends[-1])).data
-                offsets = []
+                offsets, zstd = [], zstandard.ZstdDecompressor()
                 for chunk, end in zip(group, ends.tolist(), strict=True):
                     data = records[end - chunk.size : end]
-                    content = self._unpack(file, chunk, data)
+                    content = self._unpack(file, chunk, data, zstd)
                     with self._damage_at(chunk.record):
                         offsets.append(chunk.offsets(content, data, channels))
                 with self._damage_at(group[0].record):
@@ -554,6 +562,23 @@ class McapFile:
             for found in _prefetch(read, _groups(chunks)):
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
+
+    def place_of(self, topic: str, number: int) -> tuple[int, int]:
+        """The chunk of a topic's message, and how many of the topic are in those before it.
+
+        Both are 0 where the index does not tell: not all chunks have one, or several channels have
+        the topic.
+        """
+        channels = [channel for channel, name in self._topics.items() if name == topic]
+        before = 0
+        for i, chunk in enumerate(self._chunks):
+            if len(channels) != 1 or not chunk.index:
+                break
+            _, n_messages = chunk.index.get(channels[0], (0, 0))
+            if before + n_messages > number:
+                return i, before
+            before += n_messages
+        return 0, 0
 
     def attachments(self) -> Iterator[Attachment]:
         """The attached files, oldest first.
@@ -703,7 +728,13 @@ class McapFile:
                 raise ValueError("the chunk is too large")
         return chunk.size
 
-    def _unpack(self, file: IO[bytes], chunk: _Chunk, records: memoryview) -> bytes:
+    def _unpack(
+        self,
+        file: IO[bytes],
+        chunk: _Chunk,
+        records: memoryview,
+        zstd: zstandard.ZstdDecompressor,
+    ) -> bytes:
         """Write the records of a chunk to where they fit; it and its index as in the file."""
         with self._damage_at(chunk.record):
             size = chunk.end - chunk.record.start
@@ -713,13 +744,13 @@ class McapFile:
             if chunk.loose:
                 records[:] = content
             else:
-                _decompress(memoryview(content)[: chunk.record.length], records)
+                _decompress(memoryview(content)[: chunk.record.length], records, zstd)
         return content
 
     def _unpacked(self, file: IO[bytes], chunk: _Chunk) -> memoryview:
         """The records of a chunk."""
         records = np.empty(self._size(chunk), np.uint8).data
-        self._unpack(file, chunk, records)
+        self._unpack(file, chunk, records, zstandard.ZstdDecompressor())
         return records
 
     @contextmanager
@@ -762,15 +793,18 @@ def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
     The chunks of a channel stay in their order.
     """
     groups: dict[frozenset[int], list[_Chunk]] = {}
+    sizes: Counter[frozenset[int]] = Counter()
     for chunk in chunks:
         channels = frozenset(chunk.index)
         if channels not in groups and (len(channels) != 1 or any(len(c) > 1 for c in groups)):
             yield from groups.values()
             groups = {}
-        group = groups.setdefault(channels, [])
-        group.append(chunk)
-        if not channels or sum(one.record.length for one in group) >= _GROUP:
+            sizes.clear()
+        groups.setdefault(channels, []).append(chunk)
+        sizes[channels] += chunk.record.length
+        if not channels or sizes[channels] >= _GROUP:
             yield groups.pop(channels)
+            del sizes[channels]
     yield from groups.values()
 
 

@@ -267,7 +267,7 @@ class Recording:
             if not missing or self._whole is not None:
                 continue
             found: dict[str, list[NDArray[Any]]] = {name: [] for name in missing}
-            for start, block in self.blocks(kind, missing):
+            for start, block in self.blocks(kind, missing, int(rows[0]) if len(rows) else 0):
                 end = start + len(block[missing[0]])
                 first, last = np.searchsorted(rows, (start, end))
                 for name, values in block.items():
@@ -278,13 +278,14 @@ class Recording:
         return parts
 
     def blocks(
-        self, kind: type[Stream], columns: Sequence[str]
+        self, kind: type[Stream], columns: Sequence[str], number: int = 0
     ) -> Iterator[tuple[int, Mapping[str, NDArray[Any]]]]:
         """Columns of a stream, some samples at a time, of which none are kept.
 
         Args:
             kind: one of the values of `STREAMS`.
             columns: names of those that come from the samples themselves.
+            number: of the first sample that is wanted; some before it may be left out.
 
         Yields:
             The number of the first sample, and the values (n, ...) by name, floats in any
@@ -298,8 +299,8 @@ class Recording:
             yield 0, {name: getattr(stream, name) for name in columns}
             return
         self._require(kind.topic)
-        start = 0
-        for _, messages in self.source.batches({kind.topic}):
+        start, batches = self.source.since(kind.topic, number)
+        for messages in batches:
             yield start, self._fields(kind, columns, messages)
             start += len(messages.log_times)
 

@@ -1,6 +1,7 @@
 """The metrics of sessions whose errors are known, and of sessions that lack something."""
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.rotations import quat_mul
 from g1stream.session.source import MemorySource
+from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
 
 SAG = np.linspace(-0.2, 0.1, 29)
@@ -36,6 +38,22 @@ def test_tracking_is_that_of_the_summary(rollout):
     for name, joint in summary.joints.items():
         known = joint.model_dump(exclude_none=True)
         assert known.items() <= metrics.joints[name].model_dump().items()
+
+
+def test_references_and_states_are_read_once(tmp_path):
+    """Commands again, to check samples of them, and for their torque, which is not kept."""
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        SyntheticSession(1.0, torque=1.0).write(writer)
+    session = g1stream.open_session(path)
+    read, batches = Counter(), session.source.batches
+    session.source.batches = lambda topics: read.update(topics) or batches(topics)
+    session.metrics()
+    assert {topic: read[topic] for topic in ("/reference", "/lowstate", "/sportmodestate")} == {
+        "/reference": 1,
+        "/lowstate": 1,
+        "/sportmodestate": 1,
+    }
 
 
 def test_the_docs_list_the_short_names():

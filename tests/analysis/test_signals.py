@@ -68,7 +68,15 @@ def test_the_torque_asked_for_is_the_servos():
     command = stream(CommandStream, np.arange(4) * 0.002, "q", "dq", "tau", "kp", "kd")
     state = stream(MeasuredStream, np.array([-0.0005, 0.0005, 0.0019, 0.002]), "q", "dq", "tau")
     topics = {"/lowcmd": 4, "/lowstate": 4}
-    session = SimpleNamespace(topics=topics, command=command, measured=state, computed={})
+
+    def blocks(kind, names):
+        assert kind is CommandStream
+        for start, end in ((0, 1), (1, 4)):
+            yield start, {name: getattr(command, name)[start:end] for name in names}
+
+    session = SimpleNamespace(
+        topics=topics, command=command, measured=state, computed={}, blocks=blocks
+    )
     asked, measured = signal(session, "tau").lines
     assert np.isnan(asked.values[0]).all()
     for i, j in ((1, 0), (2, 0), (3, 1)):

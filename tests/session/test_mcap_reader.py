@@ -8,6 +8,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from g1stream.errors import RecordingError
+from g1stream.session import mcap_reader
 from g1stream.session.mcap_reader import McapFile
 
 T0 = 1_700_000_000_000_000_000
@@ -136,3 +137,90 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(RecordingError, match="pipe is not a file"):
         McapFile(tmp_path / "pipe")
+
+
+def layout(path):
+    """What a reader makes of a file, or why it makes nothing."""
+    try:
+        file = McapFile(path)
+        messages = {topic: ours(file, topic) for topic in TOPICS}
+    except RecordingError as error:
+        return error.cause
+    return file._chunks, file.counts, file.complete, file.unread, file.channels, messages
+
+
+def without_checksum(path, content):
+    """The same file, whose summary is not trusted without its checksum."""
+    content = bytearray(content)
+    content[-12:-8] = bytes(4)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_an_index_tells_the_same_as_the_records_in_fewer_reads(tmp_path, monkeypatch, compression):
+    path = write(tmp_path / "f.mcap", compression=compression)
+    counts, read_at = [], mcap_reader._read_at
+    monkeypatch.setattr(
+        mcap_reader, "_read_at", lambda *args: counts.append(args) or read_at(*args)
+    )
+    found = layout(path)
+    indexed = len(counts)
+    assert found == layout(without_checksum(tmp_path / "g.mcap", path.read_bytes()))
+    assert len(counts) - indexed > indexed + 3 * len(found[0])
+
+
+@pytest.mark.parametrize("place", range(0, 33, 4))
+def test_a_chunk_that_begins_otherwise_than_indexed_is_read_without_the_index(tmp_path, place):
+    """Its opcode, length, times, or the size of its records."""
+    path = write(tmp_path / "f.mcap", compression=CompressionType.NONE)
+    content = bytearray(path.read_bytes())
+    content[McapFile(path)._chunks[3].record.start - 9 + place] ^= 0x11
+    path.write_bytes(content)
+    assert layout(path) == layout(without_checksum(tmp_path / "f.mcap", content))
+
+
+def test_a_damaged_index_changes_nothing(tmp_path):
+    path = write(tmp_path / "f.mcap")
+    whole, content = layout(path), bytearray(path.read_bytes())
+    start = int.from_bytes(content[-28:-20], "little")
+    head = content.index(b"\x08", start)  # of an entry for a chunk
+    for place in range(head + 9, head + 9 + 60, 7):
+        damaged = content.copy()
+        damaged[place] ^= 0x40
+        path.write_bytes(damaged)
+        assert layout(path) == whole
+
+
+def test_messages_that_are_not_where_the_index_says_are_noticed(tmp_path):
+    path = write(tmp_path / "f.mcap")
+    chunk = McapFile(path)._chunks[2]
+    channel, (start, _) = next(iter(chunk.index.items()))
+    content = bytearray(path.read_bytes())
+    content[start - 6] ^= 0x20  # the channel of its MessageIndex record
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=f"the record at byte {chunk.record.start} "):
+        ours(McapFile(path), TOPICS[channel - 1])
+
+
+def test_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_reader, "_GROUP", 0)  # a batch for each chunk
+    path = write(tmp_path / "f.mcap")
+    kept = [messages.data for _, messages in McapFile(path).batches({"/a"})]
+    assert len(kept) > 8
+    assert [data for one in kept for data in one] == [data for *_, data in stock(path, "/a")]
+
+
+@pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
+def test_a_message_is_found_without_what_comes_before_it(tmp_path, index):
+    file = McapFile(write(tmp_path / "f.mcap", index_types=index))
+    every = ours(file, "/a")
+    for number in (0, 1, 50, len(every) - 1):
+        chunk, before = file.place_of("/a", number)
+        found = [data for _, messages in file.batches({"/a"}, chunk) for data in messages.data]
+        assert found == [data for *_, data in every[before:]]
+        assert before <= number
+        if index == IndexType.ALL:  # the channel of /a is the first
+            assert number < before + file._chunks[chunk].index[1][1]
+        else:
+            assert (chunk, before) == (0, 0)

@@ -42,6 +42,7 @@ __all__ = [
     "FPS",
     "MEASURED_COLUMNS",
     "REFERENCE_COLUMNS",
+    "ROOT_COLUMNS",
     "BodyMetrics",
     "EndEffectorMetrics",
     "Excess",
@@ -70,17 +71,8 @@ _SONIC_ROTATION: Final = 1.0
 FPS: Final = 50.0
 _PERIOD: Final = round(1e9 / FPS)
 
-REFERENCE_COLUMNS: Final = (
-    "q",
-    "dq",
-    "phase",
-    "played",
-    "motion_time",
-    "root_pos",
-    "root_quat_wxyz",
-    "root_lin_vel",
-    "root_ang_vel",
-)
+ROOT_COLUMNS: Final = ("root_pos", "root_quat_wxyz", "root_lin_vel", "root_ang_vel")
+REFERENCE_COLUMNS: Final = ("q", "dq", "phase", "played", "motion_time", *ROOT_COLUMNS)
 MEASURED_COLUMNS: Final = ("q", "dq", "imu_quat_wxyz", "gyroscope")
 """The columns of a session that `frames` needs."""
 
@@ -265,8 +257,10 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
     done = states._replace(
         before=tracking.states[states.before], after=tracking.states[states.after]
     )
+    asked_before, done_before = tracking.rows(states.before)
+    asked_after, done_after = tracking.rows(states.after)
     target = RobotFrames(
-        q=states.interpolate(tracking.reference),
+        q=states.between(asked_before, asked_after),
         dq=asked.interpolate(reference.dq),
         root_pos=asked.interpolate(reference.root_pos),
         root_lin_vel=asked.interpolate(reference.root_lin_vel),
@@ -274,7 +268,8 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
         root_ang_vel=asked.interpolate(reference.root_ang_vel),
     )
     robot = target._replace(
-        q=states.interpolate(tracking.measured), dq=done.interpolate(measured.dq)
+        q=states.between(done_before, done_after),
+        dq=done.interpolate(measured.recorded("dq")),
     )
     quat = done.interpolate(sign_continuous(measured.imu_quat_wxyz))
     # A missing IMU sends zeros.

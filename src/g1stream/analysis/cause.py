@@ -159,9 +159,11 @@ class _Moment:
     ) -> None:
         self._session, self._tracking, self._stream = session, tracking, stream
         self.joint = joint = max(tracking.joints, key=tracking.max_abs.__getitem__)
-        errors = tracking.reference[:, joint] - tracking.measured[:, joint]
+        errors = tracking.error_of(joint)
         self.worst = int(np.abs(errors).argmax())
         self.error = float(errors[self.worst])
+        #: The reference there, rad.
+        self._target = float(tracking.rows(slice(self.worst, self.worst + 1))[0][0, joint])
         self._at = float(tracking.time[self.worst])
         self._shares = errors / (self.error or 1.0)
         growth = self._before(tracking.time, _GROWTH)
@@ -238,7 +240,7 @@ class _Moment:
     def self_collision(self, robot: G1) -> str:
         tracking = self._tracking
         rows = self._rows[:: -(-len(self._rows) // _MOST_POSES)]
-        asked, done = tracking.reference[rows], tracking.measured[rows]
+        asked, done = tracking.rows(rows)
         poses = np.concatenate([asked, done, done + _NEAR * (asked - done)])
         moved = _moved_by(robot, self.joint)
         deepest, text = _INSIDE, ""
@@ -262,7 +264,7 @@ class _Moment:
 
     def position_limit(self, robot: G1, margin: float) -> str:
         lower, upper = robot.lower[self.joint] + margin, robot.upper[self.joint] - margin
-        asked = self._tracking.reference[self.worst, self.joint]
+        asked = self._target
         held = float(np.clip(asked, lower, upper))
         if (asked - held) / self.error < _SHARE:
             return ""
@@ -278,9 +280,7 @@ class _Moment:
         passed = np.diff(self._motion_at[near])
         moved = np.abs(np.diff(self._asked[near]))
         speeds = np.divide(moved, passed, out=np.zeros_like(moved), where=passed > 1e-6)
-        missing = (
-            self._tracking.reference[self.worst, self.joint] - self._commands.q[-1, self.joint]
-        )
+        missing = self._target - self._commands.q[-1, self.joint]
         if missing / self.error < _SHARE or speeds.max(initial=0.0) <= limit:
             return ""
         return (

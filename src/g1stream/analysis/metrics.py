@@ -15,13 +15,14 @@ from g1stream.analysis.body import (
     FPS,
     MEASURED_COLUMNS,
     REFERENCE_COLUMNS,
+    ROOT_COLUMNS,
     BodyMetrics,
     body_metrics,
     frames,
 )
-from g1stream.analysis.summarise import percentiles, played, summarise
+from g1stream.analysis.summarise import SUMMARY_COLUMNS, percentiles, played, summarise
 from g1stream.analysis.summary import TO_ITS_END, MessageStats, SuccessMetrics
-from g1stream.analysis.torque import TorqueMetrics, commanded_torque, torque_metrics
+from g1stream.analysis.torque import TorqueMetrics, torque_metrics
 from g1stream.analysis.tracking import (
     NothingToCompareError,
     TrackingSummary,
@@ -39,7 +40,6 @@ from g1stream.session.streams import (
     CommandStream,
     MeasuredStream,
     ReferenceStream,
-    TorsoImuStream,
     without_steps,
 )
 from g1stream.types import Floats, Ints
@@ -182,6 +182,8 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
         except NothingToCompareError as error:
             missing["tracking"] = error.cause
     sampled = frames(session, found) if found else None
+    if sampled:  # which holds what is needed of these
+        session.reference.drop("dq", *ROOT_COLUMNS)
     body = torque = robot = None
     try:
         robot = session.robot
@@ -214,27 +216,23 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
 
 
 def _read(session: Recording) -> None:
-    """Read all needed columns in one pass, and the results of commands in another."""
-    session.read(
-        {
-            ReferenceStream: REFERENCE_COLUMNS,
-            MeasuredStream: (*MEASURED_COLUMNS, "tau"),
-            BaseStream: (),
-            TorsoImuStream: ("publish_time",),
-        }
-    )
-    # Before other arrays, because commands take much memory until their torque is computed.
-    if session.topics.get(CommandStream.topic) and session.topics.get(MeasuredStream.topic):
-        commanded_torque(session)
+    """Read the columns that are needed in one pass, those of the summary among them."""
+    more = {
+        ReferenceStream: REFERENCE_COLUMNS,
+        MeasuredStream: (*MEASURED_COLUMNS, "tau"),
+        BaseStream: BaseStream.wire_fields(),
+    }
+    session.read({kind: (*names, *more.get(kind, ())) for kind, names in SUMMARY_COLUMNS.items()})
 
 
 def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:
     """All fields of `ErrorStats`, for all joints, limbs and each joint."""
     found = tracking.summary()
-    # In the precision of the recording, and with each joint contiguous in memory.
-    size = np.empty(tracking.reference.shape[::-1], np.float32)
+    # As precise as the positions were recorded, and joint by joint in memory.
+    size = np.empty((N_JOINTS, len(tracking.time)), np.float32)
     for part in blocks(len(tracking.time)):
-        size[:, part] = np.abs(tracking.reference[part] - tracking.measured[part]).T
+        asked, done = tracking.rows(part)
+        size[:, part] = np.abs(asked - done).T
     mae = size.mean(axis=1, dtype=np.float64)
     velocity, acceleration = _velocity_errors(sampled) if sampled else (None, None)
 

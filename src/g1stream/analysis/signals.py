@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.motions import motion_of
 from g1stream.session.streams import CommandStream, MeasuredStream, ReferenceStream
 from g1stream.types import Floats, Ints, Phase
@@ -18,6 +18,8 @@ from g1stream.view.encoders import JointStatesTemplate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from g1stream.session.recording import Recording
 
@@ -48,10 +50,10 @@ class Line(NamedTuple):
     """A line of a plot for each joint.
 
     Attributes:
-        name: its label, such as "measured".
-        time: (N,) s on the motion's clock, increasing.
-        values: (N, 29) in the unit of the signal, nan if missing. Each joint's values are
-            contiguous in memory.
+        name: what it is, such as "measured".
+        time: (N,) s on the motion's clock, rising.
+        values: (N, J) in the unit of the signal, nan where there are none; each joint's follow one
+            another in memory.
     """
 
     name: str
@@ -72,7 +74,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One quantity of all joints.
+    """One quantity of joints.
 
     Attributes:
         title, unit: labels of the axis.
@@ -89,19 +91,26 @@ class Signal:
         return f"{self.title}, {self.unit}"
 
 
-def signal(session: Recording, quantity: Quantity) -> Signal:
-    """A quantity of a session's joints; without lines if nothing of it was recorded.
+def signal(
+    session: Recording, quantity: Quantity, joints: Sequence[int] = range(N_JOINTS)
+) -> Signal:
+    """A quantity of joints of a session; without lines where nothing of it was recorded.
 
     Positions, velocities and errors are in degrees. The commanded torque is
     `Session.commanded_torque`.
+
+    Args:
+        session: of any kind.
+        quantity: which.
+        joints: motor indices; of a long session a few joints at a time take less memory.
     """
-    makers: dict[Quantity, Callable[[Recording], Signal]] = {
-        "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
-        "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
-        "tau": lambda one: Signal("torque", "N·m", _torques(one)),
-        "error": lambda one: Signal("error", "deg", _errors(one)),
+    makers: dict[Quantity, Callable[[], Signal]] = {
+        "q": lambda: Signal("position", "deg", _asked_and_measured(session, "q", joints)),
+        "dq": lambda: Signal("velocity", "deg/s", _asked_and_measured(session, "dq", joints)),
+        "tau": lambda: Signal("torque", "N·m", _torques(session, joints)),
+        "error": lambda: Signal("error", "deg", _errors(session, joints)),
     }
-    return makers[quantity](session)
+    return makers[quantity]()
 
 
 def chosen_quantities(names: Sequence[str]) -> list[Quantity]:
@@ -145,31 +154,35 @@ def min_max(values: Floats, most: int) -> Ints:
     return indices
 
 
-def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple[Line, ...]:
+def _asked_and_measured(
+    session: Recording, column: Literal["q", "dq"], joints: Sequence[int]
+) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(ReferenceStream.topic):
         reference = session.reference.read("phase", column)
-        asked = _degrees(getattr(reference, column))
-        asked[reference.phase == Phase.DAMP] = np.nan  # DAMP has no target
+        asked = _degrees(reference.recorded(column), joints)
+        asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
         lines.append(Line.from_samples("reference", reference.time, asked))
     elif session.topics.get(CommandStream.topic):
-        command = session.command.read(column)
-        lines.append(Line.from_samples("command", command.time, _degrees(getattr(command, column))))
+        command = session.command
+        degrees = _degrees(command.recorded(column), joints)
+        lines.append(Line.from_samples("command", command.time, degrees))
     elif column == "q" and session.converted:
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
-        lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
-    lines += _simulated(session, column)
+        lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos, joints)))
+    lines += _simulated(session, column, joints)
     if session.topics.get(MeasuredStream.topic):
-        measured = session.measured.read(column)
-        lines.append(
-            Line.from_samples("measured", measured.time, _degrees(getattr(measured, column)))
-        )
+        measured = session.measured
+        degrees = _degrees(measured.recorded(column), joints)
+        lines.append(Line.from_samples("measured", measured.time, degrees))
     return tuple(lines)
 
 
-def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Line]:
-    """Results of `g1stream simulate` in the session, in the unit of the signal; may be empty."""
+def _simulated(
+    session: Recording, column: Literal["q", "dq", "tau"], joints: Sequence[int]
+) -> list[Line]:
+    """What `g1stream simulate` added to the session, in the unit of the signal; or nothing."""
     if not session.topics.get(SIMULATED):
         return []
     template = JointStatesTemplate(JOINT_NAMES, ("position", "velocity", "effort"))
@@ -182,32 +195,37 @@ def _simulated(session: Recording, column: Literal["q", "dq", "tau"]) -> list[Li
         ) from error
     chosen = values[:, :, ("q", "dq", "tau").index(column)]
     time = session.times[SIMULATED].time
-    return [Line.from_samples("simulated", time, chosen if column == "tau" else _degrees(chosen))]
+    chosen = chosen[:, joints] if column == "tau" else _degrees(chosen, joints)
+    return [Line.from_samples("simulated", time, chosen)]
 
 
-def _errors(session: Recording) -> tuple[Line, ...]:
+def _errors(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
     try:
         found = tracking(session)
     except NothingToCompareError:
         return ()
-    error = _degrees(found.reference, found.measured)
+    error = np.empty((len(found.time), len(joints)), order="F")
+    for i, joint in enumerate(joints):
+        error[:, i] = np.degrees(found.error_of(joint))
     return (Line.from_samples("reference - measured", found.time, error),)
 
 
-def _degrees(values: Floats, less: Floats | None = None) -> Floats:
-    """(N, 29) rad, or their difference, in degrees; each joint is contiguous in memory."""
-    degrees = np.empty(values.shape, order="F")
+def _degrees(values: NDArray[Any], joints: Sequence[int]) -> Floats:
+    """(N, J) rad in degrees, of (N, 29); each joint's follow one another in memory."""
+    degrees = np.empty((len(values), len(joints)), order="F")
     for part in blocks(len(values)):
-        degrees[part] = np.degrees(values[part] if less is None else values[part] - less[part])
+        degrees[part] = np.degrees(values[part][:, joints].astype(np.float64, copy=False))
     return degrees
 
 
-def _torques(session: Recording) -> tuple[Line, ...]:
+def _torques(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(MeasuredStream.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(CommandStream.topic):
-            lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
-        lines += _simulated(session, "tau")
-        lines.append(Line.from_samples("estimated", measured.time, measured.tau))
+            asked = commanded_torque(session)[:, joints]
+            lines.append(Line.from_samples("commanded", measured.time, asked))
+        lines += _simulated(session, "tau", joints)
+        estimated = measured.recorded("tau")[:, joints]
+        lines.append(Line.from_samples("estimated", measured.time, estimated))
     return tuple(lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -36,6 +37,7 @@ from g1stream.session.streams import (
     CommandStream,
     MeasuredStream,
     ReferenceStream,
+    Stream,
     warnings_in,
     without_steps,
 )
@@ -43,15 +45,15 @@ from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from g1stream.analysis.tracking import TrackingSummary
     from g1stream.session.recording import Recording
     from g1stream.session.records import MotionInfo, ParametersInfo, PhaseInterval
-    from g1stream.session.streams import Stream
 
 __all__ = [
     "FEEDFORWARD",
+    "SUMMARY_COLUMNS",
     "find_problems",
     "flat",
     "message_stats",
@@ -64,8 +66,16 @@ __all__ = [
 FEEDFORWARD: Final = "feed-forward: "
 """Prefix of the stream's log messages about its feed-forward."""
 
-# Below these, the robot is not affected, so the figures show it but it is no problem.
-#: A publish interval of more than this many medians is a gap.
+SUMMARY_COLUMNS: Final[Mapping[type[Stream], tuple[str, ...]]] = {
+    **dict.fromkeys(STREAMS.values(), ("publish_time",)),
+    ReferenceStream: ("motion_time", "phase", "played", "q"),
+    CommandStream: ("mode_machine",),
+    MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine", "tick"),
+}
+"""The columns of a session that `summarise` reads."""
+
+# What a robot does not notice is in the figures and is no problem.
+#: A publish interval of more than so many medians is a gap.
 _GAP: Final = 3.0
 #: Lateness of a command, s, and fraction of skipped commands.
 _LONG_OVERRUN: Final = 0.02
@@ -87,14 +97,8 @@ def summarise(session: Recording) -> Summary:
     Raises:
         RecordingError: the file is damaged.
     """
-    with suppress(RecordingError):  # reported when a column is used
-        session.read(  # in one pass
-            {
-                ReferenceStream: ("motion_time", "phase", "played", "q"),
-                CommandStream: ("mode_machine",),
-                MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine", "tick"),
-            }
-        )
+    with suppress(RecordingError):  # whoever uses a column says what is wrong with it
+        session.read(SUMMARY_COLUMNS)  # in one pass
     info, problems = read_record(SessionInfo, session.metadata)
     info = info or SessionInfo()
     stream, wrong = read_record(StreamSummary, session.metadata.get("stream"), "stream")

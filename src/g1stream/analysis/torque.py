@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -106,7 +106,7 @@ def torque_metrics(
     order = np.argsort(times, kind="stable")
     order = order[_finite(measured, ("q", "dq", "tau"))[chosen[order]]]
     chosen, times = chosen[order], times[order]
-    if not measured.tau[chosen].any():
+    if not any(measured.rows("tau", chosen[part]).any() for part in blocks(len(chosen))):
         return None
     commanded = commanded_torque(session) if session.topics.get(CommandStream.topic) else None
     seconds = np.diff(times) / 1e9
@@ -119,8 +119,8 @@ def torque_metrics(
     at_limit = 0
     for part in blocks(len(chosen)):
         rows = chosen[part]
-        tau = measured.tau[rows]
-        size, power = np.abs(tau), tau * measured.dq[rows]
+        tau = measured.rows("tau", rows)
+        size, power = np.abs(tau), tau * measured.rows("dq", rows)
         squares += np.square(tau).sum(axis=0)
         greatest = np.maximum(greatest, size.max(axis=0))
         limited = size >= _SATURATED * limits
@@ -135,8 +135,8 @@ def torque_metrics(
             apart += np.square(asked[there] - tau[there]).sum(axis=0)
             beyond += (np.abs(asked[there]) > limits).sum(axis=0)
     n = len(chosen)
-    # Joint by joint, because absolute values of all would take as much memory as the torques.
-    p99 = [np.percentile(np.abs(measured.tau[chosen, joint]), 99.0) for joint in counted]
+    # Joint by joint: the absolute values of all of them would take as much memory as the torques.
+    p99 = [np.percentile(np.abs(measured.rows("tau", (chosen, joint))), 99.0) for joint in counted]
     columns: dict[str, Floats] = {
         "limit_nm": limits[counted],
         "rms_nm": np.sqrt(squares / n)[counted],
@@ -146,7 +146,7 @@ def torque_metrics(
         "saturated": saturated[counted] / n,
     }
     duration = float(seconds.sum())
-    if any(measured.dq[chosen[part]].any() for part in blocks(n)):
+    if any(measured.rows("dq", chosen[part]).any() for part in blocks(n)):
         columns |= {"work_j": work[counted], "net_work_j": net_work[counted]}
     if known.any():
         columns["commanded_rmse_nm"] = np.sqrt(apart / known)[counted]
@@ -183,23 +183,27 @@ def commanded_torque(session: Recording) -> Floats:
     Args:
         session: session with commands and states.
     """
-    measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
-    instants, times = measured.published, command.published
+    measured = session.measured.read("q", "dq")
+    instants, times = measured.published, session.command.published
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= MAX_GAP_NS)
-    torque = np.empty(measured.q.shape, command.tau.dtype)
-    for part in blocks(len(known)):
-        asked = {name: getattr(command, name)[newest[part]] for name in _COMMANDED}
+    torque: NDArray[Any] = np.full((len(known), N_JOINTS), np.nan, np.float32)
+    states = np.flatnonzero(known)
+    states = states[np.argsort(newest[states], kind="stable")]
+    numbers = newest[states]
+    # The commands are not kept: those of an hour take 1 GB.
+    for start, asked in session.blocks(CommandStream, _COMMANDED):
+        first, end = np.searchsorted(numbers, (start, start + len(asked["q"])))
+        rows, at = states[first:end], numbers[first:end] - start
         with np.errstate(all="ignore"):
-            torque[part] = (
-                asked["tau"]
-                + asked["kp"] * (asked["q"] - measured.q[part])
-                + asked["kd"] * (asked["dq"] - measured.dq[part])
+            torque[rows] = (
+                asked["tau"][at]
+                + asked["kp"][at] * (asked["q"][at] - measured.rows("q", rows))
+                + asked["kd"][at] * (asked["dq"][at] - measured.rows("dq", rows))
             )
-        known[part] &= np.isfinite(torque[part]).all(axis=1)
-    torque[~known] = np.nan
+        torque[rows[~np.isfinite(torque[rows]).all(axis=1)]] = np.nan
     return torque
 
 
@@ -207,7 +211,7 @@ def _finite(stream: Stream, columns: Sequence[str]) -> NDArray[np.bool_]:
     """(N,) which samples are finite in these columns (N, 29)."""
     finite = np.ones(len(stream), dtype=bool)
     for name in columns:
-        values = getattr(stream, name)
+        values = stream.recorded(name)
         for part in blocks(len(finite)):
             finite[part] &= np.isfinite(values[part]).all(axis=1)
     return finite

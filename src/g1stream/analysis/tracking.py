@@ -21,7 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -29,10 +29,16 @@ from g1stream.control.tracking_error import ErrorSums
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
 from g1stream.input_limits import NUMBER
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.recording import once
 from g1stream.session.records import Int, Record
-from g1stream.session.streams import MAX_GAP_NS, MeasuredStream, ReferenceStream, neighbours
+from g1stream.session.streams import (
+    MAX_GAP_NS,
+    MeasuredStream,
+    Neighbours,
+    ReferenceStream,
+    neighbours,
+)
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -226,20 +232,25 @@ class JointErrors:
 class Tracking(JointErrors):
     """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
 
+    Arrays (N, 29) are computed when they are asked for, and not kept; `rows` gives some rows.
+
     Attributes:
         time: (N,) s on the motion's clock, as `Stream.time`.
         motion_time: (N,) s since the motion's first frame.
-        reference, measured: (N, 29) rad.
-        delays: finds the delay of any set of joints.
-        states: (N,) indices of the LowStates.
+        delays: finds the delay of any joints together.
+        states: (N,) which LowStates they are.
+        around: the references around each of them.
+        targets: (R, 29) rad, all references, in the order of their publish times.
+        positions: (M, 29) rad, of all LowStates, in the wire's precision.
     """
 
     time: Floats
     motion_time: Floats
-    reference: Floats
-    measured: Floats
     delays: Delays
     states: NDArray[np.intp]
+    around: Neighbours
+    targets: Floats
+    positions: NDArray[Any]
 
     @cached_property
     def delay(self) -> Delay | None:
@@ -250,9 +261,31 @@ class Tracking(JointErrors):
         return self.delays.of(self.joints)
 
     @property
+    def reference(self) -> Floats:
+        """(N, 29) rad."""
+        return self.around.interpolate(self.targets)
+
+    @property
+    def measured(self) -> Floats:
+        """(N, 29) rad."""
+        done: Floats = self.positions[self.states].astype(np.float64)
+        return done
+
+    @property
     def error(self) -> Floats:
         """(N, 29) rad, reference - measured."""
         return self.reference - self.measured
+
+    def rows(self, index: slice | NDArray[np.intp]) -> tuple[Floats, NDArray[Any]]:
+        """(K, 29) rad, reference and measured of some of the N, the latter as it was recorded."""
+        asked = self.around.where(index).interpolate(self.targets)
+        return asked, self.positions[self.states[index]]
+
+    def error_of(self, joint: int) -> Floats:
+        """(N,) rad, reference - measured of a joint, by its motor index."""
+        asked = self.around.interpolate(self.targets[:, joint, np.newaxis])[:, 0]
+        error: Floats = asked - self.positions[self.states, joint]
+        return error
 
     def summary(self) -> TrackingSummary:
         """The results without the arrays."""
@@ -277,7 +310,7 @@ def tracking(session: Recording) -> Tracking:
         reference = session.reference.read("motion_time", "phase", "played", "q")
         attached = session.attached
         delay_known = attached is None or not attached.by_robot
-        if found := compare(reference, session.measured.read("q"), delay_known=delay_known):
+        if found := compare(reference, session.measured, delay_known=delay_known):
             return found
         reason = f"no {MeasuredStream.topic} was published in PLAY"
     raise NothingToCompareError(
@@ -318,21 +351,21 @@ def compare(
     q = reference.q if in_order else reference.q[order]  # copy only if needed
     around = neighbours(times, state_times[state_order])
     in_play = around.where(phase[around.before] == Phase.PLAY)
-    sane = _are_sane(measured.q)[state_order]
+    positions = measured.recorded("q")
+    sane = _are_sane(positions)[state_order]
     compared = in_play.where((in_play.gap <= MAX_GAP_NS) & sane[in_play.instants])
     if not len(compared.gap):
         return None
     states = state_order[compared.instants]
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
     played = played_joints(np.bitwise_or.reduce(reference.played[order][phase == Phase.PLAY]))
-    asked = np.empty((len(states), N_JOINTS))
-    # Without gaps this is a view, to save memory in long recordings.
-    whole = (np.diff(states) == 1).all()
-    done = measured.q[states[0] : states[-1] + 1] if whole else measured.q[states]
     sums = ErrorSums()
     for part in blocks(len(states)):
-        asked[part] = compared.where(part).interpolate(q)
-        sums.add(asked[part] - done[part], motion_time[part])
+        asked = compared.where(part).interpolate(q)
+        sums.add(asked - positions[states[part]], motion_time[part])
+    # Of states without a gap it is a view: a long recording has much of everything.
+    whole = (np.diff(states) == 1).all()
+    done = positions[states[0] : states[-1] + 1] if whole else positions[states]
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
     seconds, state_seconds = (times - times[0]) / 1e9, (state_times[states] - times[0]) / 1e9
     return Tracking(
@@ -341,8 +374,9 @@ def compare(
         duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
         time=measured.time[states],
         motion_time=motion_time,
-        reference=asked,
-        measured=done,
+        around=compared,
+        targets=q,
+        positions=positions,
         delays=Delays(seconds, q, state_seconds, done, known=delay_known),
         states=states,
         joints=tuple(np.flatnonzero(played).tolist()),

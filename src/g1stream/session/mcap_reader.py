@@ -1,9 +1,10 @@
 """Reads MCAP files as arrays of messages, including files of killed writers.
 
 The library's readers need the index at the end of the file, or make an object for each message.
-This one skips from record to record to find the chunks, stops at the first incomplete record, and
-decompresses only the chunks that have messages of a requested topic. Messages outside of chunks,
-as some writers leave them, are read like an uncompressed chunk.
+This one needs neither: it skips from record to record to find the chunks, stops at the first record
+that is not whole, and decompresses only the chunks that have messages of a wanted topic. Where the
+index at the end is there and its checksum matches, it skips from chunk to chunk. Messages outside
+of chunks, as some writers leave them, are read like a chunk that is not compressed.
 
 The layout is that of the MCAP specification, https://mcap.dev/spec.
 """
@@ -21,6 +22,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, overload
+from weakref import finalize
 
 import fastcrc
 import numpy as np
@@ -89,7 +91,7 @@ class Slices(Sequence[bytes]):
     """
 
     def __init__(
-        self, chunk: bytes | memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
+        self, chunk: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
     ) -> None:
         self._chunk, self._starts, self._ends = chunk, starts, ends
 
@@ -136,6 +138,28 @@ class ChannelInfo(NamedTuple):
         return self.schema_data
 
 
+class _Room:
+    """Memory that is used again as soon as nobody has an array in it any more.
+
+    To get as much from the operating system for each batch takes as long as the decompression.
+    """
+
+    def __init__(self) -> None:
+        self._free: list[NDArray[np.uint8]] = []
+
+    def take(self, size: int) -> NDArray[np.uint8]:
+        """(size,) uint8 of any values."""
+        try:
+            whole = self._free.pop()
+        except IndexError:
+            whole = np.empty(_LOOSE, np.uint8)
+        if len(whole) < size:
+            whole = np.empty(size, np.uint8)
+        taken = whole[:size]
+        finalize(taken, self._free.append, whole)
+        return taken
+
+
 class _Span(NamedTuple):
     """Start and end of a record's content, in bytes from the start of the file or chunk."""
 
@@ -155,7 +179,7 @@ def _without_zeros(file: IO[bytes]) -> int:
     return 0
 
 
-def _records_in(data: bytes | memoryview) -> Iterator[_Span]:
+def _records_in(data: memoryview) -> Iterator[_Span]:
     """The records in a decompressed chunk."""
     start = 0
     while start < len(data):
@@ -179,35 +203,50 @@ def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
     return ReadDataStream(BytesIO(_read_at(file, record.start, record.length)))
 
 
-def _decompressed(content: bytes | memoryview) -> bytes:
-    """Decompress the records of a chunk, given the content of the chunk record."""
+def _decompress(content: memoryview, records: memoryview, zstd: zstandard.ZstdDecompressor) -> None:
+    """Decompress the records in a chunk, from the content of its own record, to where they fit."""
     _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+    if size != len(records):
+        raise ValueError("a chunk has another size than it had")
     compression = bytes(content[_CHUNK.size :][:name_length])
     data = content[_CHUNK.size + name_length :]
     (data_length,) = _LENGTH.unpack_from(data)
     data = data[_LENGTH.size :][:data_length]
-    if size > UNPACKED:
-        raise ValueError("the chunk is too large")
-    # The output size is limited for both decompressors, because a frame has a size of its own.
-    if compression == b"zstd":
-        if zstandard.frame_content_size(data) not in (size, -1):
-            raise ValueError("the size of a chunk does not match its record")
-        records = zstandard.decompress(data, max_output_size=size)
+    # Neither decompressor may make more than the chunk says: a frame has a size of its own.
+    if compression == b"zstd" and zstandard.frame_content_size(data) == size:
+        found = zstd.stream_reader(data).readinto(records)
+    elif compression == b"zstd" and zstandard.frame_content_size(data) == -1:
+        found = _copied(zstandard.decompress(data, max_output_size=size), records)
     elif compression == b"lz4":
-        records = LZ4FrameDecompressor().decompress(data, max_length=size)
+        found = _copied(LZ4FrameDecompressor().decompress(data, max_length=size), records)
     elif not compression:
-        records = bytes(data)
+        found = _copied(data, records)
     else:
-        raise ValueError("the compression of a chunk is unknown")
-    if len(records) != size:
-        raise ValueError("the size of a chunk does not match its record")
-    # zlib's crc32, as in the library, takes half as long as the decompression.
+        raise ValueError("a chunk has another size than it says, or an unknown compression")
+    if found != size:
+        raise ValueError("a chunk has another size than it says")
+    # zlib's crc32, which the library uses, takes half as long as the decompression.
     if crc and fastcrc.crc32.iso_hdlc(records) != crc:
         raise ValueError("the checksum of a chunk does not match")
-    return records
 
 
-#: Fields of a MessageIndex record: the channel, and the length of the entries in bytes.
+def _copied(data: bytes | memoryview, records: memoryview) -> int:
+    """How many bytes were copied: all, which must fit."""
+    records[:] = data
+    return len(data)
+
+
+#: Of the footer: where the summary and its offsets start, and the checksum of all before that.
+_FOOTER: Final = struct.Struct("<QQI")
+#: Of a chunk's entry in the summary: its times, where its record starts, how long that is, and how
+#: many bytes of channels follow; then the length of the MessageIndex records behind the chunk.
+_CHUNK_INDEX: Final = struct.Struct("<QQQQI")
+#: A channel and where its MessageIndex record starts.
+_CHANNEL: Final = struct.Struct("<HQ")
+#: The head of a chunk's record, the times of its messages and the size of the records in it.
+_CHUNK_HEAD: Final = struct.Struct("<BQQQQ")
+
+#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
 _INDEX: Final = struct.Struct("<HI")
 _INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
 #: A Message record without its data.
@@ -228,14 +267,21 @@ class _Chunk:
     """A chunk and its MessageIndex records. Without an index it must be searched.
 
     Attributes:
-        record: the chunk; for messages outside of chunks, all of their records.
-        loose: whether the messages are outside of chunks.
-        index: by channel, start and number of its index entries.
+        record: the chunk; of messages outside of chunks, all of their records.
+        size: bytes of its records, decompressed.
+        loose: whether it is such messages.
+        index: by channel, where the entries of its index are and how many.
     """
 
     record: _Span
+    size: int
     loose: bool = False
     index: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    @classmethod
+    def at(cls, file: IO[bytes], record: _Span) -> _Chunk:
+        """The chunk of a record, without its index."""
+        return cls(record, _CHUNK.unpack(_read_at(file, record.start, _CHUNK.size))[2])
 
     def add_index(self, file: IO[bytes], record: _Span) -> None:
         channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
@@ -252,7 +298,7 @@ class _Chunk:
         return max(ends, default=self.record.start + self.record.length)
 
     def offsets(
-        self, content: bytes, records: bytes, channels: set[int]
+        self, content: bytes, records: memoryview, channels: set[int]
     ) -> dict[int, NDArray[np.int64]]:
         """By requested channel, (N,) ascending start of its messages in the decompressed `records`.
 
@@ -263,7 +309,12 @@ class _Chunk:
         found = {}
         for channel in sorted(channels & self.index.keys()):
             start, n_entries = self.index[channel]
-            entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start - self.record.start)
+            start -= self.record.start
+            size = n_entries * _INDEX_ENTRY.itemsize
+            head = _HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX.size + size) + _INDEX.pack(channel, size)
+            if not content.startswith(head, start - len(head)):
+                raise ValueError("the index of a chunk is not where the summary says")
+            entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start)
             offsets = np.sort(entries["offset"])
             if offsets[0] < 0 or offsets[-1] + _MESSAGE.itemsize > len(records):
                 raise ValueError("the index of a chunk points outside of the chunk")
@@ -271,8 +322,67 @@ class _Chunk:
         return found
 
 
-def _message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
-    """By channel, (N,) start of its messages in a decompressed chunk, found without an index."""
+class _Summary(NamedTuple):
+    """What the summary at the end of a closed file says; empty where it is absent or damaged.
+
+    Attributes:
+        start: where in the file it starts; -1 where there is none.
+        records: its records other than the index of chunks.
+        chunks: by where it starts, each chunk whose MessageIndex records follow it without a gap,
+            where these end, and how the chunk's record must begin.
+    """
+
+    start: int
+    records: list[_Span]
+    chunks: dict[int, tuple[_Chunk, int, bytes]]
+
+    @classmethod
+    def of(cls, file: IO[bytes]) -> _Summary:
+        tail, nothing = _HEAD.size + _FOOTER.size + len(_MAGIC), cls(-1, [], {})
+        end = os.fstat(file.fileno()).st_size - tail
+        footer = _read_at(file, max(0, end), tail)
+        if not footer.startswith(_HEAD.pack(Opcode.FOOTER, _FOOTER.size)):
+            return nothing
+        start, _, crc = _FOOTER.unpack_from(footer, _HEAD.size)
+        if not crc or not max(0, end - UNPACKED) < start < end:
+            return nothing
+        data = _read_at(file, start, end - start)
+        if fastcrc.crc32.iso_hdlc(data + footer[: _HEAD.size + _FOOTER.size - 4]) != crc:
+            return nothing
+        found = cls(start, [], {})
+        try:
+            for record in _records_in(memoryview(data)):
+                if record.opcode == Opcode.CHUNK_INDEX:
+                    found.add_chunk(data, record)
+                else:
+                    found.records.append(record._replace(start=start + record.start))
+        except (ValueError, struct.error):  # whoever wrote it
+            return nothing
+        return found
+
+    def add_chunk(self, data: bytes, record: _Span) -> None:
+        first, last, start, length, n_bytes = _CHUNK_INDEX.unpack_from(data, record.start)
+        behind = record.start + _CHUNK_INDEX.size + n_bytes
+        (index_length,) = _LENGTH.unpack_from(data, behind)
+        (size,) = _LENGTH.unpack_from(data, record.start + record.length - _LENGTH.size)
+        end = behind_index = start + length + index_length
+        index = {}
+        places = _CHANNEL.iter_unpack(data[behind - n_bytes : behind])
+        for at, channel in sorted([(at, channel) for channel, at in places], reverse=True):
+            first_entry = at + _HEAD.size + _INDEX.size
+            n_entries, rest = divmod(end - first_entry, _INDEX_ENTRY.itemsize)
+            if rest or n_entries <= 0:
+                return
+            index[channel], end = (first_entry, n_entries), at
+        if index and end == start + length:
+            length -= _HEAD.size
+            chunk = _Chunk(_Span(Opcode.CHUNK, start + _HEAD.size, length), size, index=index)
+            head = _CHUNK_HEAD.pack(Opcode.CHUNK, length, first, last, size)
+            self.chunks[start] = chunk, behind_index, head
+
+
+def _message_offsets(data: memoryview) -> dict[int, NDArray[np.int64]]:
+    """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
     found: dict[int, list[int]] = {}
     for record in _records_in(data):
         if record.opcode == Opcode.MESSAGE:
@@ -282,14 +392,9 @@ def _message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
 
 
 def _messages_of(
-    records: list[bytes], offsets: list[dict[int, NDArray[np.int64]]]
+    data: memoryview, ends: NDArray[np.int64], offsets: list[dict[int, NDArray[np.int64]]]
 ) -> dict[int, Messages]:
-    """By channel, the messages of some decompressed chunks, given their starts in each."""
-    data: bytes | memoryview = records[0]
-    if len(records) > 1:
-        # Unlike bytes.join, this does not hold the interpreter's lock.
-        data = np.concatenate([np.frombuffer(one, np.uint8) for one in records]).data
-    ends = np.cumsum([len(one) for one in records])
+    """By channel, the messages of decompressed chunks that end at `ends`, by places in each."""
     starts = np.concatenate([[0], ends[:-1]])
     found = {}
     for channel in offsets[0]:
@@ -301,7 +406,7 @@ def _messages_of(
 
 
 def _messages_at(
-    data: bytes | memoryview, offsets: NDArray[np.int64], limits: NDArray[np.int64], channel: int
+    data: memoryview, offsets: NDArray[np.int64], limits: NDArray[np.int64], channel: int
 ) -> Messages:
     """The messages of a channel, given the starts of their records (N,) and the chunks' ends."""
     size, head = len(data), _MESSAGE.itemsize
@@ -389,9 +494,13 @@ class McapFile:
         with open_mcap(self.path) as file:
             last = None
             allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
-            for last in self._records(file):
-                with self._damage_at(last):
-                    self._add_record(file, last)
+            summary = _Summary.of(file)
+            for last in self._records(file, summary):
+                if known := summary.chunks.get(last.start - _HEAD.size):
+                    self._add_chunk(known[0])
+                else:
+                    with self._damage_at(last):
+                        self._add_record(file, last)
                 if self._content_size > allowed:
                     raise RecordingError(
                         f"The chunks of {self.path} claim to have "
@@ -419,29 +528,57 @@ class McapFile:
             return None, None
         return about.message_start_time, about.message_end_time
 
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, in batches of one topic, each topic in order.
+    def batches(self, topics: set[str], first_chunk: int = 0) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, in batches of one topic; those of a topic are in order.
+
+        Args:
+            topics: names.
+            first_chunk: earlier ones are left out; see `place_of`.
 
         Raises:
             RecordingError: a chunk is damaged.
         """
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
-        chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
+        chunks = [
+            chunk
+            for chunk in self._chunks[first_chunk:]
+            if not chunk.index or not channels.isdisjoint(chunk.index)
+        ]
+        room = _Room()
         with open_mcap(self.path) as file:
 
             def read(group: list[_Chunk]) -> dict[int, Messages]:
-                records, offsets = [], []
-                for chunk in group:
-                    content, data = self._content(file, chunk)
-                    records.append(data)
+                ends = np.cumsum([self._size(chunk) for chunk in group])
+                records = room.take(int(ends[-1])).data
+                offsets, zstd = [], zstandard.ZstdDecompressor()
+                for chunk, end in zip(group, ends.tolist(), strict=True):
+                    data = records[end - chunk.size : end]
+                    content = self._unpack(file, chunk, data, zstd)
                     with self._damage_at(chunk.record):
                         offsets.append(chunk.offsets(content, data, channels))
                 with self._damage_at(group[0].record):
-                    return _messages_of(records, offsets)
+                    return _messages_of(records, ends, offsets)
 
             for found in _prefetch(read, _groups(chunks)):
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
+
+    def place_of(self, topic: str, number: int) -> tuple[int, int]:
+        """The chunk of a topic's message, and how many of the topic are in those before it.
+
+        Both are 0 where the index does not tell: not all chunks have one, or several channels have
+        the topic.
+        """
+        channels = [channel for channel, name in self._topics.items() if name == topic]
+        before = 0
+        for i, chunk in enumerate(self._chunks):
+            if len(channels) != 1 or not chunk.index:
+                break
+            _, n_messages = chunk.index.get(channels[0], (0, 0))
+            if before + n_messages > number:
+                return i, before
+            before += n_messages
+        return 0, 0
 
     def attachments(self) -> Iterator[Attachment]:
         """The attached files, oldest first.
@@ -457,8 +594,7 @@ class McapFile:
 
     def _add_record(self, file: IO[bytes], record: _Span) -> None:
         if record.opcode == Opcode.CHUNK:
-            self._content_size += _CHUNK.unpack(_read_at(file, record.start, _CHUNK.size))[2]
-            self._chunks.append(_Chunk(record))
+            self._add_chunk(_Chunk.at(file, record))
         elif record.opcode == Opcode.MESSAGE:
             self._add_message(record)
         elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks and not self._chunks[-1].loose:
@@ -484,27 +620,43 @@ class McapFile:
             summary = Footer.read(_stream_of(file, record)).summary_start
             self.indexed = bool(summary) and not any(chunk.loose for chunk in self._chunks)
 
+    def _add_chunk(self, chunk: _Chunk) -> None:
+        self._content_size += chunk.size
+        self._chunks.append(chunk)
+
     def _add_message(self, record: _Span) -> None:
         """Add a message outside of a chunk; adjacent ones are read together."""
         start = record.start - _HEAD.size
         before = self._chunks[-1] if self._chunks and self._chunks[-1].loose else None
         if before and before.end == start and before.record.length < _LOOSE:
             size = record.start + record.length - before.record.start
-            before.record = before.record._replace(length=size)
+            before.record, before.size = before.record._replace(length=size), size
         else:
-            self._chunks.append(
-                _Chunk(_Span(Opcode.MESSAGE, start, _HEAD.size + record.length), loose=True)
-            )
+            size = _HEAD.size + record.length
+            self._chunks.append(_Chunk(_Span(Opcode.MESSAGE, start, size), size, loose=True))
 
-    def _records(self, file: IO[bytes]) -> Iterator[_Span]:
-        """The complete records of a file, up to its footer or to its end.
+    def _records(self, file: IO[bytes], summary: _Summary) -> Iterator[_Span]:
+        """The whole records of a file, up to its footer or to where it was cut.
 
-        After a power failure the end of a file may be zeros. They are not records, and a record
-        that ends among them is incomplete, unless it is a chunk with a correct checksum.
+        Those of a chunk's index are left out where the summary has it, and so is the index of the
+        chunks. A chunk whose record does not begin as the summary says is taken out of that.
+
+        A power cut may leave zeros in place of the end of a file. They are no record, and a record
+        that ends among them is not whole, but for a chunk whose checksum says so.
         """
         size, filled = os.fstat(file.fileno()).st_size, _without_zeros(file)
         start, self.unread = len(_MAGIC), size - len(_MAGIC)
         while start + _HEAD.size <= size:
+            if known := summary.chunks.get(start):
+                chunk, end, head = known
+                if _read_at(file, start, len(head)) == head and end <= size:
+                    start, self.unread = end, size - end
+                    yield chunk.record
+                    continue
+                del summary.chunks[start]
+            if start == summary.start:
+                yield from summary.records
+                start = size - _HEAD.size - _FOOTER.size - len(_MAGIC)
             opcode, length = _HEAD.unpack(_read_at(file, start, _HEAD.size))
             record = _Span(opcode, start + _HEAD.size, length)
             start = record.start + length
@@ -531,7 +683,9 @@ class McapFile:
         if record.opcode != Opcode.CHUNK:
             return at_end
         try:
-            self._content(file, _Chunk(record))
+            with self._damage_at(record):
+                chunk = _Chunk.at(file, record)
+            self._unpacked(file, chunk)
         except RecordingError:
             return False
         return True
@@ -558,8 +712,8 @@ class McapFile:
         self._topics[channel] = f"channel {channel}"
 
     def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
-        """Register the channels that a chunk describes, and count its messages by channel."""
-        _, data = self._content(file, chunk)
+        """Note the channels that a chunk describes, and count its messages by channel."""
+        data = self._unpacked(file, chunk)
         with self._damage_at(chunk.record):
             for opcode, start, length in _records_in(data):
                 if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
@@ -567,16 +721,37 @@ class McapFile:
                     add(ReadDataStream(BytesIO(data[start : start + length])))
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
-    def _content(self, file: IO[bytes], chunk: _Chunk) -> tuple[bytes, bytes]:
-        """A chunk with its index as stored in the file, and its records."""
+    def _size(self, chunk: _Chunk) -> int:
+        """Bytes of the records of a chunk, which are not too many."""
+        with self._damage_at(chunk.record):
+            if chunk.size > UNPACKED:
+                raise ValueError("the chunk is too large")
+        return chunk.size
+
+    def _unpack(
+        self,
+        file: IO[bytes],
+        chunk: _Chunk,
+        records: memoryview,
+        zstd: zstandard.ZstdDecompressor,
+    ) -> bytes:
+        """Write the records of a chunk to where they fit; it and its index as in the file."""
         with self._damage_at(chunk.record):
             size = chunk.end - chunk.record.start
             if size > UNPACKED:
                 raise ValueError("the record is too large")
             content = _read_at(file, chunk.record.start, size)
             if chunk.loose:
-                return b"", content
-            return content, _decompressed(memoryview(content)[: chunk.record.length])
+                records[:] = content
+            else:
+                _decompress(memoryview(content)[: chunk.record.length], records, zstd)
+        return content
+
+    def _unpacked(self, file: IO[bytes], chunk: _Chunk) -> memoryview:
+        """The records of a chunk."""
+        records = np.empty(self._size(chunk), np.uint8).data
+        self._unpack(file, chunk, records, zstandard.ZstdDecompressor())
+        return records
 
     @contextmanager
     def _damage_at(self, record: _Span) -> Iterator[None]:
@@ -618,15 +793,18 @@ def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
     The chunks of a channel keep their order.
     """
     groups: dict[frozenset[int], list[_Chunk]] = {}
+    sizes: Counter[frozenset[int]] = Counter()
     for chunk in chunks:
         channels = frozenset(chunk.index)
         if channels not in groups and (len(channels) != 1 or any(len(c) > 1 for c in groups)):
             yield from groups.values()
             groups = {}
-        group = groups.setdefault(channels, [])
-        group.append(chunk)
-        if not channels or sum(one.record.length for one in group) >= _GROUP:
+            sizes.clear()
+        groups.setdefault(channels, []).append(chunk)
+        sizes[channels] += chunk.record.length
+        if not channels or sizes[channels] >= _GROUP:
             yield groups.pop(channels)
+            del sizes[channels]
     yield from groups.values()
 
 

@@ -55,6 +55,9 @@ CONVERTED: Final = "/reference/joint_states"
 
 _ESSENTIAL: Final = (ReferenceStream.topic, CommandStream.topic, MeasuredStream.topic)
 
+#: Rows that have room at once, 70 minutes at 500 Hz; a file may say that it has any number of them.
+_ROWS: Final = 2**21
+
 T = TypeVar("T")
 RecordingT = TypeVar("RecordingT", bound="Recording")
 
@@ -258,29 +261,59 @@ class Recording:
         Raises:
             RecordingError: the file is damaged, or a stream has no such column.
         """
-        parts = {
-            kind: self.stream(kind)[rows]
-            for kind, (rows, columns) in wanted.items()
-            if self._whole is not None or not self.stream(kind).missing(*columns)
-        }
-        kinds = {kind.topic: kind for kind in wanted if kind not in parts}
-        data: dict[str, list[bytes]] = {topic: [] for topic in kinds}
-        begun: Counter[str] = Counter()
-        for topic, messages in self.source.batches(set(kinds)) if kinds else ():
-            inside = wanted[kinds[topic]][0] - begun[topic]
-            inside = inside[(inside >= 0) & (inside < len(messages.log_times))]
-            data[topic] += [messages.data[i] for i in inside.tolist()]
-            begun[topic] += len(messages.log_times)
-            if all(len(data[one]) == len(wanted[kind][0]) for one, kind in kinds.items()):
-                break  # what is left of the file is not wanted
-        for topic, kind in kinds.items():
-            rows, columns = wanted[kind]
-            found, whole = self.samples(kind, data[topic]), self.stream(kind)
-            paths = kind.wire_fields()
-            part = whole[rows]
-            part.keep({name: found[paths[name]] for name in columns})
-            parts[kind] = part
+        parts = {kind: self.stream(kind)[rows] for kind, (rows, _) in wanted.items()}
+        for kind, (rows, columns) in wanted.items():
+            missing = self.stream(kind).missing(*columns)
+            if not missing or self._whole is not None:
+                continue
+            found: dict[str, list[NDArray[Any]]] = {name: [] for name in missing}
+            for start, block in self.blocks(kind, missing, int(rows[0]) if len(rows) else 0):
+                end = start + len(block[missing[0]])
+                first, last = np.searchsorted(rows, (start, end))
+                for name, values in block.items():
+                    found[name].append(values[rows[first:last] - start])
+                if last == len(rows):
+                    break  # what is left of the file is not wanted
+            parts[kind].keep({name: np.concatenate(values) for name, values in found.items()})
         return parts
+
+    def blocks(
+        self, kind: type[Stream], columns: Sequence[str], number: int = 0
+    ) -> Iterator[tuple[int, Mapping[str, NDArray[Any]]]]:
+        """Columns of a stream, some samples at a time, of which none are kept.
+
+        Args:
+            kind: one of the values of `STREAMS`.
+            columns: names of those that come from the samples themselves.
+            number: of the first sample that is wanted; some before it may be left out.
+
+        Yields:
+            The number of the first sample, and the values (n, ...) by name, floats in any
+            precision.
+
+        Raises:
+            RecordingError: the file is damaged, or the topic is not in this session.
+        """
+        if self._whole is not None:
+            stream = self.stream(kind).read(*columns)
+            yield 0, {name: getattr(stream, name) for name in columns}
+            return
+        self._require(kind.topic)
+        start, batches = self.source.since(kind.topic, number)
+        for messages in batches:
+            yield start, self._fields(kind, columns, messages)
+            start += len(messages.log_times)
+
+    def _fields(
+        self, kind: type[Stream], columns: Sequence[str], messages: Messages
+    ) -> dict[str, NDArray[Any]]:
+        """Those columns that come from the samples themselves; views of them where it can be."""
+        paths = {name: path for name, path in kind.wire_fields().items() if name in columns}
+        if not paths:
+            return {}
+        rows = messages.data.rows() if isinstance(messages.data, Slices) else None
+        found = self.samples(kind, messages.data if rows is None else rows)
+        return {name: found.shown(path) for name, path in paths.items()}
 
     @cached_property
     def robot(self) -> G1:
@@ -457,14 +490,7 @@ class Recording:
         kinds = {kind.topic: kind for kind in wanted}
 
         def decode(topic: str, messages: Messages) -> dict[str, NDArray[Any]]:
-            kind = kinds[topic]
-            paths = {name: kind.wire_fields().get(name) for name in wanted[kind]}
-            fields = {name: path for name, path in paths.items() if path}  # times have none
-            if not fields:
-                return {}
-            rows = messages.data.rows() if isinstance(messages.data, Slices) else None
-            found = self.samples(kind, messages.data if rows is None else rows)
-            return {name: found[path] for name, path in fields.items()}
+            return self._fields(kinds[topic], wanted[kinds[topic]], messages)
 
         read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}
@@ -475,13 +501,19 @@ class Recording:
         decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        found: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
         counts: Counter[str] = Counter()
         for topic, messages in self.source.batches(set(topics)):
-            counts[topic] += len(messages.log_times)
+            start, columns = counts[topic], found[topic]
+            counts[topic] = end = start + len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
             for name, values in (times | decode(topic, messages)).items():
-                parts[topic].setdefault(name, []).append(values)
+                column = columns.get(name, values[:0])
+                if end > len(column):
+                    n_rows = max(end, min(self.topics[topic], max(2 * end, _ROWS)))
+                    columns[name] = np.empty((n_rows, *values.shape[1:]), values.dtype)
+                    columns[name][:start] = column[:start]
+                columns[name][start:end] = values
         for topic in topics:
             if counts[topic] != self.topics[topic]:
                 n_messages = counted(self.topics[topic], "message")
@@ -489,11 +521,9 @@ class Recording:
                     f"{self.path} is damaged: of {n_messages} on {topic} it has {counts[topic]}.",
                     RECOVER,
                 )
-        # One after the other, as each is large in a long recording.
-        return {
-            topic: {name: read_only(np.concatenate(found.pop(name))) for name in list(found)}
-            for topic, found in parts.items()
-        }
+        for columns in found.values():
+            columns.update({name: read_only(column) for name, column in columns.items()})
+        return found
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):

@@ -64,6 +64,14 @@ class SessionSource(ABC):
             RecordingError: the file is damaged.
         """
 
+    def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
+        """The messages of a topic from one of the first `number` on, and the number of that.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        return 0, (messages for _, messages in self.batches({topic}))
+
     @abstractmethod
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name.
@@ -133,6 +141,14 @@ class SessionFiles(FilesSource):
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
         self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
+
+    def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
+        """The messages of a topic from one of the first `number` on, and the number of that."""
+        if len(self._files) > 1:
+            return super().since(topic, number)
+        (file,), name = self._files, self._names[topic]
+        chunk, start = file.place_of(name, number)
+        return start, (messages for _, messages in file.batches({name}, chunk))
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
@@ -209,6 +225,11 @@ class ExtendedSource(SessionSource):
         """The messages of some topics: those of the session, then the added ones."""
         yield from self._source.batches(topics - self._added.topics.keys())
         yield from self._added.batches(topics)
+
+    def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
+        """The messages of a topic from one of the first `number` on, and the number of that."""
+        source = self._added if topic in self._added.topics else self._source
+        return source.since(topic, number)
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""

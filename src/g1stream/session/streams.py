@@ -59,8 +59,10 @@ class Stream:
     """N samples of one topic, oldest first; all arrays are read-only.
 
     Columns are read from the file when they are first used: the two times alone, any other column
-    together with all that are not read yet. `read` reads only those that it names. An index, slice
-    or boolean mask gives a stream of these samples: `session.measured[mask]`.
+    together with all that are not read yet. `read` reads only those that it names. What the wire
+    has as float32 takes the memory of a float64 only from when it is first used as an attribute;
+    `rows` gives some samples without that. An index, slice or boolean mask gives a stream of these
+    samples: `session.measured[mask]`.
 
     A stream of this class has only the times of the messages of some topic. Subclasses say where
     their samples come from: the `topic` in the file, the `source` on the wire, and in `paths` the
@@ -87,6 +89,7 @@ class Stream:
     _load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None
     _start: Callable[[], int] | None
     _published: Callable[[], Ints] | None
+    _recorded: dict[str, NDArray[Any]]
 
     def __init__(
         self,
@@ -95,7 +98,7 @@ class Stream:
         published: Callable[[], Ints] | None = None,
         **columns: NDArray[Any],
     ) -> None:
-        self.__dict__.update(columns, _load=load, _start=start, _published=published)
+        self.__dict__.update(columns, _load=load, _start=start, _published=published, _recorded={})
 
     @classmethod
     def wire_fields(cls) -> dict[str, str]:
@@ -129,33 +132,44 @@ class Stream:
                 f"Choose from {', '.join((*_TIMES, *known))}.",
             )
         wanted = dict.fromkeys((*_TIMES, *(columns or known)))
-        return [name for name in wanted if name not in self.__dict__]
+        return [name for name in wanted if name not in self.__dict__ and name not in self._recorded]
 
     def keep(self, columns: dict[str, NDArray[Any]]) -> None:
-        """Take in columns that were read, floats in any precision; none is left in the dict."""
-        for name in list(columns):  # one after the other: of a long recording each is large
-            self.__dict__[name] = _as_float64(columns.pop(name))
+        """Take in columns that were read, floats in any precision."""
+        for name, values in columns.items():
+            kept = self._recorded if values.dtype == np.float32 else self.__dict__
+            kept[name] = values
 
-    def as_recorded(self: StreamT, *columns: str) -> StreamT:
-        """The same samples with these columns only, in the wire's precision: half the memory.
+    def drop(self, *columns: str) -> None:
+        """Let go of columns that take memory; they are read again when they are next used."""
+        for name in columns if self._load else ():
+            self.__dict__.pop(name, None)
+            self._recorded.pop(name, None)
 
-        They are read anew, and this stream does not keep them.
+    def recorded(self, column: str) -> NDArray[Any]:
+        """(N, ...) a column, floats in the wire's precision where it was not used as float64 yet.
 
         Raises:
-            RecordingError: the file is damaged.
+            RecordingError: the file is damaged, or the stream has no such column.
         """
-        if self._load is None:
-            return self
-        found = self._load(list(dict.fromkeys((*_TIMES, *columns))))
-        self.__dict__.update({name: found[name] for name in _TIMES})
-        return type(self)(None, self._start, lambda: self.published, **found)
+        self.read(column)
+        values = self._recorded.get(column)
+        return self.__dict__[column] if values is None else values
+
+    def rows(self, column: str, index: Any) -> NDArray[Any]:
+        """Some samples of a column, as a numpy index gives them, floats as float64; see `read`."""
+        return _as_float64(self.recorded(column)[index])
 
     if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
 
         def __getattr__(self, name: str) -> Any:
             if name not in _TIMES and name not in self.wire_fields():
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            return vars(self.read(*_TIMES) if name in _TIMES else self.read())[name]
+            if name not in self._recorded:
+                self.read(*_TIMES) if name in _TIMES else self.read()
+            if name in self._recorded:
+                self.__dict__[name] = _as_float64(self._recorded.pop(name))
+            return self.__dict__[name]
 
     def __len__(self) -> int:
         return len(self.log_time)
@@ -177,7 +191,7 @@ class Stream:
 
         def load(names: list[str]) -> Mapping[str, NDArray[Any]]:
             self.read(*names)
-            return {name: read_only(getattr(self, name)[index]) for name in names}
+            return {name: read_only(self.recorded(name)[index]) for name in names}
 
         return type(self)(load, self._zero, lambda: read_only(self.published[index]))
 
@@ -594,17 +608,20 @@ class Neighbours(NamedTuple):
     gap: Ints
     weight: Floats
 
-    def where(self, mask: NDArray[np.bool_] | slice) -> Neighbours:
-        """Some of the instants, by a mask (K,) or a slice."""
-        return Neighbours._make(values[mask] for values in self)
+    def where(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Neighbours:
+        """Some of the instants, by a mask (K,), indices or a slice."""
+        return Neighbours._make(values[index] for values in self)
 
     def interpolate(self, values: NDArray[Any]) -> Floats:
         """(K, J) the samples' values (R, J) at the instants, linearly interpolated."""
-        earlier = values[self.before]
-        between: Floats = values[self.after] - earlier
-        between *= self.weight[:, np.newaxis]
-        between += earlier
-        return between
+        return self.between(values[self.before], values[self.after])
+
+    def between(self, earlier: NDArray[Any], later: NDArray[Any]) -> Floats:
+        """(K, J) at the instants, of the values (K, J) before and after each."""
+        found: Floats = later - earlier.astype(np.float64, copy=False)
+        found *= self.weight[:, np.newaxis]
+        found += earlier
+        return found
 
 
 def neighbours(times: Ints, instants: Ints) -> Neighbours:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Container, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from g1stream.analysis.plots import COLOURS, SHADES
 from g1stream.analysis.signals import Quantity, Signal, min_max, signal
 from g1stream.analysis.summary import Summary
 from g1stream.app.session import Session
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import CommandStream, MeasuredStream
 from g1stream.text import printable
 from g1stream.types import Floats
@@ -34,14 +34,15 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
 
     Arrays are float32 in base64.
     """
-    signals, limbs = {}, []
-    for quantity in _QUANTITIES:  # one at a time, to save memory in a long session
-        shown = signal(session, quantity)
-        signals[quantity] = _drawn(shown)
-        if quantity == "error":
-            played = summary.tracking.joints if summary.tracking else JOINT_NAMES
-            limbs = _limb_errors(shown, played)
-        del shown
+    played = summary.tracking.joints if summary.tracking else JOINT_NAMES
+    signals: dict[str, Any] = {}
+    limbs: list[dict[str, Any]] = []
+    for quantity in _QUANTITIES:
+        for limb, joints in JOINT_GROUPS.items():  # all of a long session take much memory
+            shown = signal(session, quantity, joints)
+            _draw(shown, joints, signals.setdefault(quantity, {"label": shown.label, "lines": []}))
+            if quantity == "error":
+                limbs += _limb_error(shown, limb, [JOINT_NAMES[one] in played for one in joints])
     tracking, torque = summary.tracking, metrics.torque
     errors = (
         {name: math.degrees(one.rmse_rad) for name, one in tracking.joints.items()}
@@ -92,31 +93,26 @@ def _events(session: Session) -> list[dict[str, Any]]:
     ]
 
 
-def _drawn(shown: Signal) -> dict[str, Any]:
-    return {
-        "label": shown.label,
-        "lines": [
-            {"name": one.name, "joints": [curve(one.time, values) for values in one.values.T]}
-            for one in shown.lines
-        ],
-    }
+def _draw(shown: Signal, joints: Sequence[int], drawn: dict[str, Any]) -> None:
+    """Add the curves of some joints to those of the others."""
+    lines: list[dict[str, Any]] = drawn["lines"]
+    if not lines:
+        lines += [{"name": one.name, "joints": [None] * N_JOINTS} for one in shown.lines]
+    for line, one in zip(lines, shown.lines, strict=True):
+        for joint, values in zip(joints, one.values.T, strict=True):
+            line["joints"][joint] = curve(one.time, values)
 
 
-def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
-    """The RMS error of each limb over time, from the played joints."""
-    limbs = {
-        limb: [joint for joint in joints if JOINT_NAMES[joint] in played]
-        for limb, joints in JOINT_GROUPS.items()
-    }
+def _limb_error(error: Signal, limb: str, played: Sequence[bool]) -> list[dict[str, Any]]:
+    """The RMS error of a limb over time, of those of its joints that were played."""
     return [
         {
             "name": limb.replace("_", " "),
             "colour": COLOURS[limb],
-            **curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
+            **curve(line.time, np.sqrt(np.mean(np.square(line.values[:, played]), axis=1))),
         }
         for line in error.lines
-        for limb, joints in limbs.items()
-        if joints
+        if any(played)
     ]
 
 

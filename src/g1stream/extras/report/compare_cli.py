@@ -6,7 +6,7 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, QuietFlag, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(SessionFlags):
+class Compare(SessionFlags, QuietFlag):
     """Compares sessions of the same motion, over the part that all of them played.
 
     With two or more sessions on each side it shows which differences exceed the noise from run to

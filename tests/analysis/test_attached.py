@@ -101,7 +101,7 @@ def test_by_the_robot_alone_its_lag_is_part_of_the_start_and_no_delay_is_told(st
     assert session.tracking().overall < 2e-3
     assert session.tracking().delay is None
     assert session.metrics().tracking.all_joints.delay_s is None
-    assert "not known" in str(session.summary())
+    assert "unknown: the robot's own joints" in str(session.summary())
 
 
 def test_targets_that_are_there_for_their_torque_do_not_tell(strangers, motion):
@@ -196,7 +196,7 @@ def test_refusals(strangers, motion):
     with pytest.raises(RecordingError, match="has a reference"):
         session.attach(motion).attach(motion)
     backwards = replace(motion, joint_pos=motion.joint_pos[::-1])
-    with pytest.raises(RecordingError, match="was not played"):
+    with pytest.raises(RecordingError, match="was not found"):
         session.attach(backwards)
     torques = MemorySource("torques")
     data = encode_samples(LOWCMD, {"motor_cmd.tau": np.ones((3, 29))}, 3)
@@ -212,7 +212,7 @@ def test_a_second_is_no_recording_and_a_clock_may_leap_by_years(strangers, motio
     _, state = next(source.batches({"/lowstate"}))
     short, leaping = MemorySource("short"), MemorySource("leaping")
     short.write_batch("/lowstate", state.data[:3], state.log_times[:3], state.publish_times[:3])
-    with pytest.raises(RecordingError, match="was not played"):
+    with pytest.raises(RecordingError, match="was not found"):
         Session(short).attach(motion)
     times = state.publish_times.copy()
     times[:20] -= 10**18

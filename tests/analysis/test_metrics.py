@@ -295,7 +295,7 @@ def test_a_simulator_that_stalls_spoils_a_run_on_free_feet(support, length, spoi
     assert success.completed is False
     assert success.success is (None if spoilt else False)
     assert success.spoilt_by_ms == (pytest.approx(1e3 * length + 2.0, abs=0.1) if spoilt else None)
-    assert sum("stood still" in one for one in problems) == spoilt
+    assert sum("time stopped" in one for one in problems) == spoilt
 
 
 def test_a_stall_outside_of_play_spoils_nothing():

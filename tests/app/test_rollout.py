@@ -11,6 +11,8 @@ from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.source import ExtendedSource, MemorySource
+from g1stream.session.streams import MeasuredStream
 from g1stream.sim.lockstep import EPOCH
 from g1stream.types import Phase
 
@@ -140,6 +142,27 @@ def test_it_is_saved_as_a_recorder_writes_it(session, tmp_path):
     first = next(iter(session.sel("PLAY").messages("/reference")))
     assert shown == shapes._replace(log_time=first.log_time)
     assert shapes.log_time < first.log_time
+
+
+def test_a_part_of_a_split_recording_shows_the_robot_once(session, tmp_path):
+    """Each part of a recording begins with the shapes; a saved part has those before it."""
+    scenes, again = "/measured/scene", open_session(session.save(tmp_path / "whole.mcap"))
+    (shapes,) = again.messages(scenes)
+    middle = again.start_ns + 300_000_000
+    added = MemorySource()
+    for log_time, data in ((shapes.log_time, b"old"), (middle, shapes.data), (2 * middle, b"new")):
+        added.write(scenes, data, log_time, log_time)
+    split = Session(ExtendedSource(again.source, added))
+    path = split.sel(time=slice(0.4, 0.6)).save(tmp_path / "part.mcap")
+    (shown,) = open_session(path).messages(scenes)
+    assert shown.data == shapes.data
+    assert shown.log_time > middle
+
+
+def test_excerpts_need_no_times_that_were_read_before(session, tmp_path):
+    path, rows = session.save(tmp_path / "r.mcap"), np.array([3, 100, 200])
+    found = open_session(path).excerpts({MeasuredStream: (rows, ["q"])})[MeasuredStream]
+    np.testing.assert_array_equal(found.q, session.measured.q[rows])
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """Files of every kind, against the stock reader and writer."""
 
 import os
+import zlib
 
 import numpy as np
 import pytest
@@ -203,12 +204,47 @@ def test_messages_that_are_not_where_the_index_says_are_noticed(tmp_path):
         ours(McapFile(path), TOPICS[channel - 1])
 
 
-def test_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch):
+@pytest.mark.parametrize("n_in_a_chunk", [1, 20])
+def test_arrays_of_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch, n_in_a_chunk):
     monkeypatch.setattr(mcap_reader, "_GROUP", 0)  # a batch for each chunk
+    path, sent = tmp_path / "f.mcap", np.arange(60 * n_in_a_chunk, dtype="<i8")
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=39 * n_in_a_chunk - 1)  # of 31 + 8 bytes a message
+        writer.start()
+        channel = writer.register_channel("/a", "none", 0)
+        for i in sent.tolist():
+            writer.add_message(channel, T0 + i, i.to_bytes(8, "little"), T0 - i, i)
+        writer.finish()
+    data, rows, times = [], [], []  # each the last that refers to the memory of its batch
+    for kept, of in (
+        (data, lambda messages: messages.data),
+        (rows, lambda messages: messages.data.rows()),
+        (times, lambda messages: messages.log_times),
+    ):
+        kept += [of(messages) for _, messages in McapFile(path).batches({"/a"})]
+        assert len(kept) >= 60
+    assert [int.from_bytes(one, "little") for part in data for one in part] == sent.tolist()
+    assert np.concatenate(rows).view("<i8")[:, 0].tolist() == sent.tolist()
+    assert np.concatenate(times).tolist() == (T0 + sent).tolist()
+
+
+@pytest.mark.parametrize("place", [0, 16, 36, 46, 56])
+def test_an_index_with_a_right_checksum_and_wrong_content_hides_no_message(tmp_path, place):
+    """A chunk's time, start, the channels of its MessageIndex records, and their length."""
     path = write(tmp_path / "f.mcap")
-    kept = [messages.data for _, messages in McapFile(path).batches({"/a"})]
-    assert len(kept) > 8
-    assert [data for one in kept for data in one] == [data for *_, data in stock(path, "/a")]
+    content = bytearray(path.read_bytes())
+    start = int.from_bytes(content[-28:-20], "little")
+    entry = content.index(b"\x08", start) + 9
+    content[entry + place] ^= 0x01
+    content[-12:-8] = zlib.crc32(content[start:-12]).to_bytes(4, "little")
+    path.write_bytes(content)
+    slow = McapFile(without_checksum(tmp_path / "slow.mcap", content.copy()))
+    wanted = {topic: ours(slow, topic) for topic in TOPICS}
+    try:
+        found = {topic: ours(McapFile(path), topic) for topic in TOPICS}
+    except RecordingError:
+        return
+    assert found == wanted
 
 
 @pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])

@@ -365,6 +365,6 @@ def _prepared(commands: Ints) -> Ints:
 def _ages(
     commands: Ints, states: Ints, of: NDArray[np.intp], seen: NDArray[np.bool_]
 ) -> Percentiles | None:
-    """Ages of the states with these indices at the commands, us; -1 without a state."""
+    """Ages of the states `of` at the commands, us; an index of -1 is a command without a state."""
     known = (of >= 0) & seen
     return percentiles((commands[known] - states[of[known]]) / 1e3) if known.any() else None

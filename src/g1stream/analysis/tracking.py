@@ -320,7 +320,7 @@ def tracking(session: Recording) -> Tracking:
 
 
 def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
-    """The played joints with the largest RMSE, largest first; empty without a reference."""
+    """The played joints with the largest RMSE, largest first; empty if nothing was compared."""
     try:
         found = tracking(session)
     except NothingToCompareError:

@@ -199,21 +199,19 @@ class Session(Recording):
         Raises:
             RecordingError: the file cannot be written.
         """
-        path, whole = Path(path), Session(self.source)
+        path = Path(path)
         topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
+        before = {topic for topic in topics if self.selected and CHANNELS[topic].latched}
         messages = [
             [(message, topic) for message in self.messages(topic)]
             for topic in topics
-            if not CHANNELS[topic].latched
+            if topic not in before
         ]
-        starts = [found[0][0].log_time for found in messages if found]
-        start = min(starts, default=0) if self.selected else 0
-        messages += [
-            [(message._replace(log_time=max(message.log_time, start)), topic)]
-            for topic in topics
-            if CHANNELS[topic].latched
-            for message in whole.messages(topic)
-        ]
+        start = min((found[0][0].log_time for found in messages if found), default=0)
+        for topic in sorted(before):
+            every = list(Session(self.source).messages(topic))
+            newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
+            messages.append([(newest._replace(log_time=start), topic)])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
             writer.add_metadata(self.metadata)
             for name, data in self.attachments.items():

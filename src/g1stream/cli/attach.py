@@ -44,7 +44,7 @@ class Attach(MotionPartFlags, QuietFlag):
     session: Path = argument("The session, bag or log.", "SESSION")
     reference: str = argument(MOTION, "MOTION")
     out: Path | None = flag(None, "The session to write.", "OUT.mcap", aliases=("-o",))
-    play: int = flag(1, "Number of the playback, if it was played several times.", "N", gt=0)
+    play: int = flag(1, "Which playback to use, if the motion was played several times.", "N", gt=0)
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the result as JSON.")
 

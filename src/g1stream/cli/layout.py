@@ -58,16 +58,16 @@ class Layout(Command):
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
         policy = simulated = False
-        robot = None
+        recording = None
         if self.session:
             recording = open_recording(self.session)
-            robot = recording.robot
             joints = worst_joints(recording, len(joints)) or joints
             policy = bool(recording.topics.get("/policy/terms"))
             simulated = bool(recording.topics.get("/simulated/joint_states"))
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:
+            robot = recording.robot if recording else None
             layout = foxglove_layout(joints, robot, policy=policy, simulated=simulated)
             content = json.dumps(layout, indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]

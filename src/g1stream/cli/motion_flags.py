@@ -23,7 +23,7 @@ MOTION: Final = (
     "Motion file (CSV, NPZ, pickle), session, ROS 2 bag, or the name of a bundled motion: demo."
 )
 """Help of a flag that names a motion."""
-MOTIONS: Final = f"{MOTION} Several are played in the given order."
+MOTIONS: Final = f"{MOTION} Several are joined in the given order."
 """Help of an argument that names motions."""
 
 

@@ -47,7 +47,7 @@ _LOGGER = logging.getLogger(__name__)
 _MAX_DELAY_NS: Final = 20_000_000
 #: Time between two readings of the kernel's count of discarded datagrams, s.
 _DROPS_PERIOD: Final = 1.0
-#: Topics that must have exactly one publisher.
+#: Topics that may have one active publisher.
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: Topics that most streams do not publish.
 _OCCASIONAL: Final = frozenset({ARM_SDK.name, POLICY.name})

@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, overload
 from weakref import finalize
@@ -51,9 +52,10 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _MOST_THREADS: Final = 4
-#: Chunks are decompressed in groups of at least this many bytes.
+#: Chunks are decompressed in groups; a group ends at this many compressed bytes.
 _GROUP: Final = 2**18
-
+#: First size of memory for a group, bytes.
+_ROOM: Final = 2**20
 
 #: Most bytes of messages outside of chunks that are read together.
 _LOOSE: Final = 2**20
@@ -139,29 +141,31 @@ class ChannelInfo(NamedTuple):
 
 
 class _Room:
-    """Memory that is used again as soon as nobody has an array in it any more.
+    """Memory that is reused as soon as no array refers to it any more.
 
-    To get as much from the operating system for each batch takes as long as the decompression.
+    New memory from the operating system for each batch would take as long as the decompression.
     """
 
     def __init__(self) -> None:
-        self._free: list[NDArray[np.uint8]] = []
+        self._free: list[memoryview] = []
 
-    def take(self, size: int) -> NDArray[np.uint8]:
-        """(size,) uint8 of any values."""
+    def take(self, size: int) -> memoryview:
+        """Memory of `size` bytes with arbitrary values."""
         try:
             whole = self._free.pop()
         except IndexError:
-            whole = np.empty(_LOOSE, np.uint8)
+            whole = np.empty(_ROOM, np.uint8).data
         if len(whole) < size:
-            whole = np.empty(size, np.uint8)
-        taken = whole[:size]
+            whole = np.empty(size, np.uint8).data
+        # An array that numpy makes in a view of another array refers to that array's own memory
+        # only. This one has none of its own, so every array in it keeps it alive.
+        taken = np.frombuffer(whole, np.uint8, size)
         finalize(taken, self._free.append, whole)
-        return taken
+        return taken.data
 
 
 class _Span(NamedTuple):
-    """Start and end of a record's content, in bytes from the start of the file or chunk."""
+    """Start of a record's content, bytes from the start of the file or chunk, and its length."""
 
     opcode: int
     start: int
@@ -307,14 +311,15 @@ class _Chunk:
         if not self.index:
             return {c: found for c, found in _message_offsets(records).items() if c in channels}
         found = {}
-        for channel in sorted(channels & self.index.keys()):
-            start, n_entries = self.index[channel]
-            start -= self.record.start
+        for channel, (start, n_entries) in sorted(self.index.items()):
+            at = start - self.record.start
             size = n_entries * _INDEX_ENTRY.itemsize
             head = _HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX.size + size) + _INDEX.pack(channel, size)
-            if not content.startswith(head, start - len(head)):
+            if not content.startswith(head, at - len(head)):
                 raise ValueError("the index of a chunk is not where the summary says")
-            entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start)
+            if channel not in channels:
+                continue
+            entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, at)
             offsets = np.sort(entries["offset"])
             if offsets[0] < 0 or offsets[-1] + _MESSAGE.itemsize > len(records):
                 raise ValueError("the index of a chunk points outside of the chunk")
@@ -358,6 +363,10 @@ class _Summary(NamedTuple):
                     found.records.append(record._replace(start=start + record.start))
         except (ValueError, struct.error):  # whoever wrote it
             return nothing
+        starts = [*sorted(found.chunks), start]
+        for at, following in pairwise(starts):
+            if found.chunks[at][1] > following:  # it would hide the chunk behind it
+                del found.chunks[at]
         return found
 
     def add_chunk(self, data: bytes, record: _Span) -> None:
@@ -549,7 +558,7 @@ class McapFile:
 
             def read(group: list[_Chunk]) -> dict[int, Messages]:
                 ends = np.cumsum([self._size(chunk) for chunk in group])
-                records = room.take(int(ends[-1])).data
+                records = room.take(int(ends[-1]))
                 offsets, zstd = [], zstandard.ZstdDecompressor()
                 for chunk, end in zip(group, ends.tolist(), strict=True):
                     data = records[end - chunk.size : end]
@@ -679,7 +688,7 @@ class McapFile:
                 return
 
     def _is_whole(self, file: IO[bytes], record: _Span, *, at_end: bool) -> bool:
-        """Whether a record that ends with zeros is complete; `at_end`: only zeros follow it."""
+        """Whether a record that ends with zeros is complete; `at_end`: nothing follows it."""
         if record.opcode != Opcode.CHUNK:
             return at_end
         try:

@@ -261,12 +261,15 @@ class Recording:
         Raises:
             RecordingError: the file is damaged, or a stream has no such column.
         """
-        parts = {kind: self.stream(kind)[rows] for kind, (rows, _) in wanted.items()}
+        parts = {
+            kind: self.stream(kind).read("log_time")[rows] for kind, (rows, _) in wanted.items()
+        }
         for kind, (rows, columns) in wanted.items():
             missing = self.stream(kind).missing(*columns)
             if not missing or self._whole is not None:
                 continue
             found: dict[str, list[NDArray[Any]]] = {name: [] for name in missing}
+            end = 0
             for start, block in self.blocks(kind, missing, int(rows[0]) if len(rows) else 0):
                 end = start + len(block[missing[0]])
                 first, last = np.searchsorted(rows, (start, end))
@@ -274,6 +277,8 @@ class Recording:
                     found[name].append(values[rows[first:last] - start])
                 if last == len(rows):
                     break  # what is left of the file is not wanted
+            if sum(map(len, found[missing[0]])) < len(rows):
+                raise self._incomplete(kind.topic, end)
             parts[kind].keep({name: np.concatenate(values) for name, values in found.items()})
         return parts
 
@@ -516,14 +521,16 @@ class Recording:
                 columns[name][start:end] = values
         for topic in topics:
             if counts[topic] != self.topics[topic]:
-                n_messages = counted(self.topics[topic], "message")
-                raise RecordingError(
-                    f"{self.path} is damaged: of {n_messages} on {topic} it has {counts[topic]}.",
-                    RECOVER,
-                )
+                raise self._incomplete(topic, counts[topic])
         for columns in found.values():
             columns.update({name: read_only(column) for name, column in columns.items()})
         return found
+
+    def _incomplete(self, topic: str, n_found: int) -> RecordingError:
+        n_messages = counted(self.topics[topic], "message")
+        return RecordingError(
+            f"{self.path} is damaged: of {n_messages} on {topic} it has {n_found}.", RECOVER
+        )
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):

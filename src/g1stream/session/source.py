@@ -65,7 +65,9 @@ class SessionSource(ABC):
         """
 
     def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
-        """The messages of a topic from one of the first `number` on, and the number of that.
+        """The messages of a topic from a batch on, and the number of the batch's first message.
+
+        Messages before `number` are left out as far as the index allows.
 
         Raises:
             RecordingError: the file is damaged.
@@ -143,7 +145,7 @@ class SessionFiles(FilesSource):
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
     def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
-        """The messages of a topic from one of the first `number` on, and the number of that."""
+        """The messages of a topic from `number` or earlier, and the number of the first."""
         if len(self._files) > 1:
             return super().since(topic, number)
         (file,), name = self._files, self._names[topic]
@@ -227,7 +229,7 @@ class ExtendedSource(SessionSource):
         yield from self._added.batches(topics)
 
     def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
-        """The messages of a topic from one of the first `number` on, and the number of that."""
+        """The messages of a topic from `number` or earlier, and the number of the first."""
         source = self._added if topic in self._added.topics else self._source
         return source.since(topic, number)
 

@@ -232,10 +232,9 @@ class Balance:
 
         The capture point is c + c' / sqrt(g / h), with h the height of the centre of mass c. If the
         centre of pressure is moved there, the mass comes to rest above it (J. Pratt et al.,
-        "Capture
-        point: a step toward humanoid push recovery", 2006). It moves away from the centre of
-        pressure, so once it is outside of the soles it cannot be brought back. A lifted foot counts
-        where it stood, turned as it is now.
+        "Capture point: a step toward humanoid push recovery", 2006). It moves away from the centre
+        of pressure, so once it is outside of the soles it cannot be brought back. A lifted foot
+        counts where it stood, turned as it is now.
         """
         height = max(0.0, float(terms.centre[2] - terms.soles[:, 2].min()))
         vel = terms.centre_vel + self.base.vel

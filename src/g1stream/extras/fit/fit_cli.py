@@ -46,7 +46,7 @@ class FitParameters(SettingsCommand, QuietFlag):
         shown="the last fifth of each session",
     )
     motion_out: Path | None = flag(
-        None, "Write an exciting motion for identification, to be played and recorded.", "NPZ"
+        None, "Write an excitation motion for identification, to be played and recorded.", "NPZ"
     )
     seconds: float = flag(40.0, "Length of that motion.", "SECONDS", gt=0.0)
     support: str | None = flag(

@@ -61,7 +61,8 @@ def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, 
     assert {topic: list(repaired.messages(topic)) for topic in repaired.topics} == before
     found, attachments, metadata = by_stock_reader(path)
     assert len(found) == done.messages
-    assert (attachments, metadata) == (["motion.csv"], ["g1stream"])
+    assert (attachments, metadata) == (["motion.csv"], ["g1stream", "g1stream.repaired"])
+    assert any("did not close the file" in one for one in repaired.summary().problems)
     result = doctor(path)
     assert result.returncode == 0, result.stdout
     assert "passed" in result.stdout

@@ -337,7 +337,8 @@ def _file_problems(session: Recording) -> Iterator[str]:
         )
     for number, reason in session.absent_parts.items():
         yield f"Part {number} is missing: {reason}"
-    if not (session.complete or session.absent_parts):
+    closed = session.complete and not session.metadata.get("repaired")
+    if not (closed or session.absent_parts):
         yield (
             "The recorder did not close the file. It ends with its last complete chunk, and the "
             "number of lost samples is unknown"

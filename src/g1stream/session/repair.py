@@ -14,7 +14,7 @@ from typing import IO, NamedTuple
 
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file
-from g1stream.session.format import CHANNELS, MessageBatch
+from g1stream.session.format import CHANNELS, METADATA_NAME, MessageBatch, metadata_to_strings
 from g1stream.session.mcap_reader import RECOVER, McapFile, open_mcap
 from g1stream.session.mcap_writer import McapWriter
 from g1stream.session.parts import Part, parts_of, write_metadata_yaml
@@ -100,6 +100,9 @@ def _copy(source: McapFile, path: Path) -> None:
     try:
         for record in source.metadata_records:
             writer.write_metadata(record.name, record.metadata)
+        if source.metadata and not source.complete:  # else nothing would show that its end is lost
+            values = metadata_to_strings({"repaired": True})
+            writer.write_metadata(f"{METADATA_NAME}.repaired", values)
         for one in source.attachments():
             writer.attach(one.name, one.media_type, one.data, one.log_time)
         for topic, messages in source.batches({*source.channels}):

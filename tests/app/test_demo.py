@@ -33,6 +33,24 @@ def test_files_that_are_there_are_refused_before_the_start(tmp_path, name):
         program.demo("demo", tmp_path, force=True)
 
 
+def test_a_demo_that_plays_nothing_leaves_no_directory(tmp_path, monkeypatch):
+    class Failing:
+        def __init__(self, *_):
+            pass
+
+        def wait_until_ready(self):
+            raise StartedError
+
+        def kill(self):
+            pass
+
+    monkeypatch.setattr(program, "Child", Failing)
+    for out in (tmp_path, tmp_path / "made"):
+        with pytest.raises(StartedError):
+            program.demo("demo", out)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_demo_does_not_leave_the_machine(tmp_path, monkeypatch):
     elsewhere = Config.model_validate({"dds": {"interface": "eth7"}})
     with pytest.raises(ConfigError, match="eth7 is not the loopback") as caught:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -51,6 +52,7 @@ def demo(
     if not force:
         named_anew = config.record.auto_name  # the recorder adds the time to the name
         check_absent(*([] if named_anew else [session_path]), figure_path)
+    made = not out.exists()
     with output_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     config = _with_free_domain(config)
@@ -69,6 +71,9 @@ def demo(
         sim.finish()
     finally:
         sim.kill()
+        if made:
+            with suppress(OSError):  # something is in it
+                out.rmdir()
     recorder = played.recorder
     if not (played.stream and played.stream.commands and recorder) or recorder.removed:
         return played

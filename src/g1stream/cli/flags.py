@@ -249,7 +249,8 @@ class _Parser(ArgumentParser):
         )
         self.usage = usage.lstrip()
         if self._advanced or self._everything:
-            text = f"Show {counted(self._advanced, 'more flag')}, and their tables in a TOML file."
+            which = "all flags" if self._everything else counted(self._advanced, "more flag")
+            text = f"Show {which}, and their tables in a TOML file."
             self.add_argument("--help-all", action="help", help=text)
 
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:

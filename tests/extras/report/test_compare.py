@@ -154,6 +154,9 @@ def test_the_command(tmp_path, capsys):
     assert main(given) == 0
     assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
     assert "FAILED: rmse > 1.1 * base holds" in capsys.readouterr().out
+    assert main([*given, "-q", "--fail-if", "rmse > 1.1 * base"]) == 1
+    quiet = capsys.readouterr()
+    assert (quiet.out, quiet.err.count("FAILED: rmse > 1.1 * base holds")) == ("", 1)
     assert main([*given, "--fail-if", "rmse < 1 * base"]) == 0
     assert "passed: rmse < 1 * base does not hold" in capsys.readouterr().out
     assert main([*given, "--fail-if", "rmse < 1 * base", "--fail-if", "rmse > 0.015"]) == 1

@@ -547,6 +547,7 @@ def _render(fit: Fit) -> str:
     delay = fit.find("command_delay")
     told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
     lag = fit.find("torque_lag")
+    less = f"{100 * fit.reduction:.0f} % less" if fit.reduction > 0.0 else "not less"
     return "\n".join(
         [
             labelled(
@@ -555,7 +556,7 @@ def _render(fit: Fit) -> str:
             ),
             f"delay   {told if delay.told else 'not determined by the sessions'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
-            f"after, {100 * fit.reduction:.0f} % less, of {fit.held_out}",
+            f"after, {less}, of {fit.held_out}",
             f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
             f"{1e3 * (lag.value - lag.low):.2f}",
             *(["?       the sessions do not determine this value"] if untold else []),

@@ -6,11 +6,19 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, QuietFlag, print_json, print_lines
+from g1stream.cli.command import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    QuietFlag,
+    print_json,
+    print_lines,
+    print_warning,
+)
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import ConfigError
+from g1stream.events import is_quiet
 
 if TYPE_CHECKING:
     from g1stream.app.session import Session
@@ -91,5 +99,8 @@ class Compare(SessionFlags, QuietFlag):
                     True: "FAILED: {0.text} holds",
                     None: "FAILED: {0.text} is unknown, because not all sessions have {0.name}",
                 }[truth]
-                print_lines(f"\n{verdict.format(one)}")
+                if is_quiet() and truth is not False:
+                    print_warning(verdict.format(one))
+                else:
+                    print_lines(f"\n{verdict.format(one)}")
         return EXIT_STOPPED if failed else EXIT_OK

@@ -232,6 +232,11 @@ def print_lines(text: str, file: TextIO | None = None) -> None:
     print("\n".join(map(printable, text.split("\n"))), file=file)
 
 
+def print_verdict(text: str, *, failed: bool, file: TextIO | None = None) -> None:
+    """Print the verdict on a condition as `print_lines` does; with --quiet a failed one is left."""
+    print_lines(text, sys.stderr if failed and is_quiet() else file)
+
+
 def print_json(values: Any) -> None:
     """Print values as one JSON document on standard output."""
     print(json.dumps(values, indent=2))

@@ -213,6 +213,9 @@ def test_the_command(motions, tmp_path):
     try:
         assert run("--fail-if", "max_speed > 1000")[0] == 0
         assert run("--fail-if", "max_speed > 0.001")[0] == 1
+        code, out, err = run("-q", "--fail-if", "max_speed > 0.001", "--fail-if", "ok < 0")
+        assert (code, out, err.count("FAILED: max_speed > 0.001")) == (1, "", 1)
+        assert "passed" not in err
     finally:
         (tmp_path / "broken.csv").rename(motions / "broken.csv")
     assert run("--fail-if", "speed > 1")[0] == 2

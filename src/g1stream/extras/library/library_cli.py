@@ -18,6 +18,7 @@ from g1stream.cli.command import (
     exit_code_of_signal,
     on_signals,
     print_lines,
+    print_verdict,
     print_warning,
 )
 from g1stream.cli.flags import argument, flag
@@ -163,8 +164,8 @@ class Library(SettingsCommand, QuietFlag):
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
         print_lines("\n".join(lines), out)
         verdicts = [_verdict(one, rows, complete=run.complete) for one in conditions]
-        for _, line in verdicts:
-            print_lines(line, out)
+        for one_failed, line in verdicts:
+            print_verdict(line, failed=one_failed, file=out)
         failed = any(one_failed for one_failed, _ in verdicts)
         if reasons:
             return exit_code_of_signal(reasons[0]) or EXIT_STOPPED

@@ -12,13 +12,12 @@ from g1stream.cli.command import (
     QuietFlag,
     print_json,
     print_lines,
-    print_warning,
+    print_verdict,
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import ConfigError
-from g1stream.events import is_quiet
 
 if TYPE_CHECKING:
     from g1stream.app.session import Session
@@ -99,8 +98,6 @@ class Compare(SessionFlags, QuietFlag):
                     True: "FAILED: {0.text} holds",
                     None: "FAILED: {0.text} is unknown, because not all sessions have {0.name}",
                 }[truth]
-                if is_quiet() and truth is not False:
-                    print_warning(verdict.format(one))
-                else:
-                    print_lines(f"\n{verdict.format(one)}")
+                print_lines("")
+                print_verdict(verdict.format(one), failed=truth is not False)
         return EXIT_STOPPED if failed else EXIT_OK

@@ -157,9 +157,10 @@ def print_row(name: str, row: dict[str, Any]) -> None:
     if written := row.get("written_us"):
         values = " ".join(f"{written[p]:>7.0f}" for p in ("p50", "p99", "p99.9"))
         print(f"{'  written':<67}{values}")
-    for number, part in enumerate(row.get("parts", []) if len(row.get("parts", [])) > 1 else []):
+    parts = row.get("parts", [])
+    for number, part in enumerate(parts if len(parts) > 1 else [], 1):
         values = " ".join(f"{part[p]:>7.0f}" for p in ("p50", "p99", "p99.9", "p100"))
-        print(f"  part {number + 1:<44} {part['memory_mb']:>7.1f} {'':>6} {values}")
+        print(f"  part {number:<44} {part['memory_mb']:>7.1f} {'':>6} {values}")
 
 
 def main() -> None:

@@ -199,7 +199,7 @@ class Session(Recording):
         Raises:
             RecordingError: the file cannot be written.
         """
-        path = Path(path)
+        path, whole = Path(path), Session(self.source)
         topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
         before = {topic for topic in topics if self.selected and CHANNELS[topic].latched}
         messages = [
@@ -209,7 +209,7 @@ class Session(Recording):
         ]
         start = min((found[0][0].log_time for found in messages if found), default=0)
         for topic in sorted(before):
-            every = list(Session(self.source).messages(topic))
+            every = list(whole.messages(topic))
             newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
             messages.append([(newest._replace(log_time=start), topic)])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:

@@ -56,7 +56,6 @@ _MOST_THREADS: Final = 4
 _GROUP: Final = 2**18
 #: First size of memory for a group, bytes.
 _ROOM: Final = 2**20
-
 #: Most bytes of messages outside of chunks that are read together.
 _LOOSE: Final = 2**20
 #: First and last bytes of a file.
@@ -68,6 +67,30 @@ _HEAD: Final = struct.Struct("<BQ")
 #: its compression. The name, the length of the compressed data and the data follow.
 _CHUNK: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
+#: Of the footer: where the summary and its offsets start, and the checksum of all before that.
+_FOOTER: Final = struct.Struct("<QQI")
+#: Of a chunk's entry in the summary: its times, where its record starts, how long that is, and how
+#: many bytes of channels follow; then the length of the MessageIndex records behind the chunk.
+_CHUNK_INDEX: Final = struct.Struct("<QQQQI")
+#: A channel and where its MessageIndex record starts.
+_CHANNEL: Final = struct.Struct("<HQ")
+#: The head of a chunk's record, the times of its messages and the size of the records in it.
+_CHUNK_HEAD: Final = struct.Struct("<BQQQQ")
+
+#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
+_INDEX: Final = struct.Struct("<HI")
+_INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
+#: A Message record without its data.
+_MESSAGE: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<i8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<i8"),
+        ("publish_time", "<i8"),
+    ]
+)
 
 
 class Messages(NamedTuple):
@@ -238,32 +261,6 @@ def _copied(data: bytes | memoryview, records: memoryview) -> int:
     """How many bytes were copied: all, which must fit."""
     records[:] = data
     return len(data)
-
-
-#: Of the footer: where the summary and its offsets start, and the checksum of all before that.
-_FOOTER: Final = struct.Struct("<QQI")
-#: Of a chunk's entry in the summary: its times, where its record starts, how long that is, and how
-#: many bytes of channels follow; then the length of the MessageIndex records behind the chunk.
-_CHUNK_INDEX: Final = struct.Struct("<QQQQI")
-#: A channel and where its MessageIndex record starts.
-_CHANNEL: Final = struct.Struct("<HQ")
-#: The head of a chunk's record, the times of its messages and the size of the records in it.
-_CHUNK_HEAD: Final = struct.Struct("<BQQQQ")
-
-#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
-_INDEX: Final = struct.Struct("<HI")
-_INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
-#: A Message record without its data.
-_MESSAGE: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<i8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<i8"),
-        ("publish_time", "<i8"),
-    ]
-)
 
 
 @dataclass

@@ -166,7 +166,7 @@ class Stream:
             if name not in _TIMES and name not in self.wire_fields():
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
             if name not in self._recorded:
-                self.read(*_TIMES) if name in _TIMES else self.read()
+                self.read(*(_TIMES if name in _TIMES else ()))
             if name in self._recorded:
                 self.__dict__[name] = _as_float64(self._recorded.pop(name))
             return self.__dict__[name]

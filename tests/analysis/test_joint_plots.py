@@ -18,7 +18,7 @@ def _panels(figure):
 
 
 def test_a_row_for_each_joint_and_a_column_for_each_quantity(session):
-    figure = session.plot(r"(left|right)_knee", ["error", "q"])
+    figure = session.plot("*_knee", ["error", "q"])
     rows = [
         (joint, quantity)
         for joint in ("left_knee", "right_knee")
@@ -44,8 +44,8 @@ def test_the_quantities_of_few_joints_are_below_each_other(session):
 
 
 def test_more_joints_than_the_overview_has_room_for(session):
-    assert len(session.plot("left_.*").axes) == 13
-    assert len(session.plot(["left_knee", "left_.*_roll"]).axes) == 5 + 2  # error and RMSE
+    assert len(session.plot("left_*").axes) == len(session.plot("left_leg, left_arm").axes) == 13
+    assert len(session.plot(["left_knee", "left_*_roll"]).axes) == 5 + 2  # error and RMSE
 
 
 def test_a_session_without_a_reference(play, write_session):
@@ -59,7 +59,7 @@ def test_a_session_without_a_reference(play, write_session):
     ("name", "begins"), [("a.png", b"\x89PNG"), ("a.SVG", b"<?xml"), ("a.pdf", b"%PDF")]
 )
 def test_its_format_is_that_of_its_name(session, tmp_path, name, begins):
-    draw(session, tmp_path / name, "waist.*", ["tau"])
+    draw(session, tmp_path / name, "waist", ["tau"])
     assert (tmp_path / name).read_bytes().startswith(begins)
 
 
@@ -69,8 +69,8 @@ def test_what_cannot_be_drawn(session, play, write_session, tmp_path):
     (tmp_path / "a.png").write_text("older")
     with pytest.raises(RecordingError, match="--force"):
         draw(session, tmp_path / "a.png", force=False)
-    for pattern in ("(", "left_tail", ".*_tail"):
-        with pytest.raises(RecordingError):
+    for pattern in ("", "left_tail", "*_tail", "left_knee,left_tail"):
+        with pytest.raises(ConfigError):
             session.plot(pattern)
     with pytest.raises(RecordingError):
         session.plot([])

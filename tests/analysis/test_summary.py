@@ -106,6 +106,10 @@ def test_tracking_is_the_sessions(play, write_session):
     session = open_session(write_session(*play(0.04, np.linspace(-0.02, 0.05, 29)), METADATA))
     assert session.summary().tracking == session.tracking().summary()
     assert session.summary().tracking.all_joints.delay_s == pytest.approx(0.04, abs=1e-4)
+    longer = play(0.04, phases=((Phase.RAMP, 0.5), (Phase.PLAY, 6.0)))
+    session = open_session(write_session(*longer, METADATA, name="longer.mcap"))
+    within = session.summary().tracking.all_joints.delay_ci95_s
+    assert within == session.tracking().delay.ci95 > 0
 
 
 LATENESS = Percentiles(p50=20.0, p99=90.0, p99_9=900.0, max=24_000.0)
@@ -324,9 +328,12 @@ def test_a_stream_that_ended_without_damp(play, take, summarise, silence, metada
     assert ("without DAMP" in "".join(summary.problems[:1])) is (undamped_in is not None)
 
 
-def test_the_summary_of_a_part_of_a_session(play, write_session):
+def test_the_summary_of_a_part_of_a_session(play, write_session, tmp_path):
     session = open_session(write_session(*play(), METADATA))
-    summary = session.sel(phase="PLAY").summary()
+    part = session.sel(phase="PLAY")
+    summary = part.summary()
+    saved = open_session(part.save(tmp_path / "part.mcap")).summary()
+    assert [session.summary().part, summary.part, saved.part] == [False, True, True]
     assert [one.phase for one in summary.phases] == [Phase.PLAY]
     assert summary.topics["/reference"].count == 2000
     assert session.sel(time=slice(100.0, None)).summary().first_ns is None

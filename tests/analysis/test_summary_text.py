@@ -71,8 +71,8 @@ TRACKING = TrackingSummary(
 )
 
 
-def with_delay(delay, **more):
-    errors = TRACKING.all_joints.model_copy(update={"delay_s": delay})
+def with_delay(delay, ci95=None, **more):
+    errors = TRACKING.all_joints.model_copy(update={"delay_s": delay, "delay_ci95_s": ci95})
     return TRACKING.model_copy(update={"all_joints": errors, **more})
 
 
@@ -198,7 +198,7 @@ CASES = {
         ),
     ),
     "a robot behind its commands": Summary(
-        tracking=with_delay(-0.0002),
+        tracking=with_delay(-0.0002, ci95=0.0004),
         stream=StreamSummary(preview_s=0.002),
     ),
     "on its feet": Summary(
@@ -249,6 +249,7 @@ CASES = {
     "not recorded": Summary(tracking=with_delay(None), stream=STREAM),
     "looped": Summary(termination=Termination(reason="", played_s=30.0, motion_s=14.0)),
     "nothing known of the end": Summary(termination=Termination(played_s=30.0, motion_s=14.0)),
+    "a selection": Summary(part=True, stream=STREAM),
     "nothing": Summary(),
 }
 

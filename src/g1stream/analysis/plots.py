@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
-from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +13,7 @@ from g1stream.analysis.signals import chosen_quantities, min_max, signal
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.errors import RecordingError
 from g1stream.files import save_figure
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
 from g1stream.session.records import MotionInfo, StreamSummary, read_record
 from g1stream.session.streams import MeasuredStream, ReferenceStream
 from g1stream.text import counted
@@ -98,8 +97,8 @@ def draw(
     The file appears when it is complete. `force` replaces an existing file.
 
     Raises:
-        ConfigError: the suffix or the quantity is unknown.
-        RecordingError: there is nothing to plot, no such joint, or the file cannot be written.
+        ConfigError: the suffix, the quantity or a joint is unknown.
+        RecordingError: there is nothing to plot, or the file cannot be written.
     """
     from matplotlib import style
 
@@ -111,7 +110,12 @@ def plot(
     session: Recording, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
 ) -> Figure:
     """See `Session.plot`."""
-    chosen = None if joints is None else _indices(joints)
+    if isinstance(joints, str):
+        joints = joints.split(",")
+    named = [matching_joints(one.strip(), "In joints") for one in joints or ()]
+    chosen = None if joints is None else list(dict.fromkeys(chain.from_iterable(named)))
+    if chosen == []:
+        raise RecordingError("There is no joint to plot.", "Name a joint, or omit the joints.")
     overview = chosen is None or len(chosen) <= _PANELS
     if overview and what is None and session.phases and all(map(session.topics.get, _COMPARED)):
         return _overview(session, chosen)
@@ -158,28 +162,6 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
         if followed:
             _draw_bars(figure.add_subplot(cells[2, 2]), followed)
     return figure
-
-
-def _indices(joints: Sequence[str] | str) -> list[int]:
-    """The joints whose names match, without duplicates, in the order of the patterns."""
-    found: dict[int, None] = {}
-    for pattern in [joints] if isinstance(joints, str) else joints:
-        try:
-            named = re.compile(f"(?:{pattern})(?:_joint)?")
-        except re.error as error:
-            raise RecordingError(
-                f"{pattern!r} is not a regular expression: {error}.", "Name a joint, or left_.*"
-            ) from error
-        matching = [i for i, name in enumerate(JOINT_NAMES) if named.fullmatch(name)]
-        if not matching:
-            close = get_close_matches(pattern, JOINT_NAMES) or JOINT_NAMES
-            raise RecordingError(
-                f"There is no joint {pattern!r}.", f"Choose from {', '.join(close)}."
-            )
-        found |= dict.fromkeys(matching)
-    if not found:
-        raise RecordingError("There is no joint to plot.", "Name a joint, or omit the joints.")
-    return list(found)
 
 
 def _joints_to_show(session: Recording, tracking: Tracking | None) -> tuple[list[int], int | None]:

@@ -293,6 +293,7 @@ class Tracking(JointErrors):
         found.rmse_without_delay_rad = delay and pooled(delay.rmse)
         found.rmse_without_delay_and_mean_rad = delay and pooled(delay.std)
         found.all_joints.delay_s = delay and delay.seconds
+        found.all_joints.delay_ci95_s = delay and delay.ci95
         return found
 
 

@@ -122,12 +122,13 @@ class Session(Recording):
         panel for each joint and each available quantity.
 
         Args:
-            joints: names, such as "left_knee", or regular expressions that match whole names.
+            joints: names or patterns, such as "left_knee", "arms" or "left_*", as a list or
+                separated by commas.
             what: quantities from "q", "dq", "tau" and "error": position, velocity, torque, error.
 
         Raises:
-            ConfigError: there is no such quantity.
-            RecordingError: there is nothing to plot, or no such joint.
+            ConfigError: there is no such quantity or joint.
+            RecordingError: there is nothing to plot.
         """
         from g1stream.analysis.plots import plot
 
@@ -213,7 +214,7 @@ class Session(Recording):
             newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
             messages.append([(newest._replace(log_time=start), topic)])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
-            writer.add_metadata(self.metadata)
+            writer.add_metadata(self.metadata | ({"part": True} if self.selected else {}))
             for name, data in self.attachments.items():
                 media_type = guess_type(name)[0] or "application/octet-stream"
                 writer.attach(name, media_type, data, self.start_ns)

@@ -212,6 +212,8 @@ class _Parser(ArgumentParser):
         if option.required:
             self._usage.append(f"{names[-1]} {metavar}")
             about["required"] = True
+        if "nargs" in about:  # argparse itself shows that the value may be repeated
+            about["metavar"] = metavar.removesuffix("...")
         self._known += names
         group.add_argument(*names, dest=key, **about)
 

@@ -17,7 +17,7 @@ class Plot(SessionFlags, QuietFlag):
 
     Examples:
       g1stream plot session.mcap
-      g1stream plot session.mcap --joints 'left_.*' --what q,error,tau -o left.pdf
+      g1stream plot session.mcap --joints 'left_*' --what q,error,tau -o left.pdf
 
     Exit codes:
       0  written
@@ -26,7 +26,7 @@ class Plot(SessionFlags, QuietFlag):
 
     session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     joints: str | None = flag(
-        None, "Regular expression that matches joint names.", "REGEX", shown="all"
+        None, "Joints, limbs or patterns, such as arms,waist_yaw,'left_*'.", "LIST", shown="all"
     )
     what: str | None = flag(None, "Quantities, separated by commas: q, dq, tau, error.", "LIST")
     out: Path = flag(

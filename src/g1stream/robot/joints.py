@@ -102,7 +102,8 @@ def matching_joints(pattern: str, where: str) -> list[int]:
     """Motor indices of a limb, both arms or legs, a joint, or a pattern of joints.
 
     Args:
-        pattern: a name or pattern, such as `left_arm`, `arms`, `waist_yaw_joint`, `*_knee_joint`.
+        pattern: a name or pattern, such as `left_arm`, `arms`, `waist_yaw`, `*_knee_joint`. The
+            ending `_joint` can be omitted.
         where: source of the pattern for the error, such as `In stream.joints`.
 
     Raises:
@@ -110,7 +111,11 @@ def matching_joints(pattern: str, where: str) -> list[int]:
     """
     limbs = [limb for limb in JOINT_GROUPS if pattern in (limb, f"{limb.rpartition('_')[2]}s")]
     found = [joint for limb in limbs for joint in JOINT_GROUPS[limb]]
-    found = found or [i for i, name in enumerate(JOINT_NAMES) if fnmatchcase(name, pattern)]
+    found = found or [
+        i
+        for i, name in enumerate(JOINT_NAMES)
+        if fnmatchcase(name, pattern) or fnmatchcase(name.removesuffix("_joint"), pattern)
+    ]
     if not found:
         close = get_close_matches(pattern, (*JOINT_GROUPS, "arms", "legs", *JOINT_NAMES))
         raise ConfigError(

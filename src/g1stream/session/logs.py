@@ -256,7 +256,7 @@ def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
             return times, f"column {name}, in units of {factor:g} ns{assumed}"
     raise RecordingError(
         f"{file} has no column of increasing times.",
-        "Name a column time_s, time_ms or timestamp_ns; a motion without times is not a log.",
+        "Name a column time_s, time_ms or timestamp_ns. For a motion use `g1stream motion`.",
     )
 
 

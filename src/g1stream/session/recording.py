@@ -151,7 +151,8 @@ class Recording:
     def __repr__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
         whole = "" if self.complete else ", not closed by its recorder"
-        return f"<{type(self).__name__} {str(self.path)!r}: {counts}{whole}>"
+        of = "a part of " if self.selected else ""
+        return f"<{type(self).__name__} {str(self.path)!r}: {of}{counts}{whole}>"
 
     @property
     def selected(self) -> bool:

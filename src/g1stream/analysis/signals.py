@@ -32,6 +32,7 @@ __all__ = [
     "chosen_quantities",
     "min_max",
     "signal",
+    "simulated",
 ]
 
 Quantity = Literal["q", "dq", "tau", "error"]
@@ -171,7 +172,7 @@ def _asked_and_measured(
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
         lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos, joints)))
-    lines += _simulated(session, column, joints)
+    lines += simulated(session, column, joints)
     if session.topics.get(MeasuredStream.topic):
         measured = session.measured
         degrees = _degrees(measured.recorded(column), joints)
@@ -179,10 +180,14 @@ def _asked_and_measured(
     return tuple(lines)
 
 
-def _simulated(
+def simulated(
     session: Recording, column: Literal["q", "dq", "tau"], joints: Sequence[int]
 ) -> list[Line]:
-    """What `g1stream simulate` added to the session, in the unit of the signal; or nothing."""
+    """What `g1stream simulate` added to the session, in the unit of the signal; or nothing.
+
+    Raises:
+        RecordingError: the added messages cannot be decoded.
+    """
     if not session.topics.get(SIMULATED):
         return []
     template = JointStatesTemplate(JOINT_NAMES, ("position", "velocity", "effort"))
@@ -225,7 +230,7 @@ def _torques(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
         if session.topics.get(CommandStream.topic):
             asked = commanded_torque(session)[:, joints]
             lines.append(Line.from_samples("commanded", measured.time, asked))
-        lines += _simulated(session, "tau", joints)
+        lines += simulated(session, "tau", joints)
         estimated = measured.recorded("tau")[:, joints]
         lines.append(Line.from_samples("estimated", measured.time, estimated))
     return tuple(lines)

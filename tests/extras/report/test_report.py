@@ -17,7 +17,9 @@ from g1stream.app.session import open_session
 from g1stream.cli.demo import _write_page
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.fit.gap import gap
 from g1stream.extras.report.page import numbers, to_csv
+from g1stream.robot.joints import JOINT_NAMES
 
 
 class Page(HTMLParser):
@@ -265,6 +267,24 @@ def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_
     assert (shown[0], shown[-1]) == pytest.approx((time[0], time[-1]), abs=0.01)
     with pytest.raises(RecordingError):
         g1stream.compare(path, others[0], page=out)
+
+
+@pytest.mark.slow
+def test_a_comparison_shows_the_simulated_joints(tmp_path):
+    played = g1stream.rollout("demo", seconds=2.0)
+    plain, out = played.save(tmp_path / "plain.mcap"), tmp_path / "gap.mcap"
+    gap(played, out=out)
+    page = tmp_path / "compare.html"
+    g1stream.compare(plain, out, page=page)
+    (drawn,) = figures(page.read_text())
+    without, line = drawn["lines"]
+    assert "simulated" not in without
+    knee = JOINT_NAMES.index("left_knee_joint")
+    time, angle = (floats(line["simulated"][knee][axis]) for axis in "xy")
+    measured = (floats(line["measured"][knee][axis]) for axis in "xy")
+    assert (time[0], time[-1]) == pytest.approx((0.0, 2.0), abs=0.01)
+    inside = np.isfinite(angle)
+    assert np.interp(time, *measured)[inside] == pytest.approx(angle[inside], abs=0.5)
 
 
 def test_a_session_is_not_replaced_by_its_page(path, tmp_path):

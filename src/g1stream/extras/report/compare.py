@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import computed_field
 
 from g1stream.analysis.metrics import NAMED_METRICS, Metrics, metrics
-from g1stream.analysis.signals import Line
+from g1stream.analysis.signals import Line, simulated
 from g1stream.analysis.summarise import flat, played
 from g1stream.analysis.summary import Summary
 from g1stream.analysis.tracking import interpolated
@@ -25,7 +25,7 @@ from g1stream.extras.report.figures import curve
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import difference_tables
 from g1stream.files import check_not_input, check_output_path, check_suffix, complete_file
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import Record, SessionInfo, read_record
 from g1stream.text import counted, labelled, printable, table
 from g1stream.types import Floats
@@ -624,15 +624,18 @@ def _drawn(
             error = asked - measured
             rms = np.sqrt(np.mean(np.square(error[:, joints]), axis=1, keepdims=True))
             reference = reference or _curves(time, asked, most)
-            lines.append(
-                {
-                    "side": number,
-                    "name": session.path.name,
-                    "measured": _curves(time, measured, most),
-                    "error": _curves(time, error, most),
-                    "rms": _curves(time, rms, most)[0],
-                }
-            )
+            line = {
+                "side": number,
+                "name": session.path.name,
+                "measured": _curves(time, measured, most),
+                "error": _curves(time, error, most),
+                "rms": _curves(time, rms, most)[0],
+            }
+            for one in simulated(session, "q", range(N_JOINTS)):
+                inside = (one.time >= found.time[0]) & (one.time <= found.time[-1])
+                at = np.interp(one.time[inside], found.time, found.motion_time)
+                line["simulated"] = _curves(at, one.values[inside], most)
+            lines.append(line)
     return {
         "sides": [
             {"name": name, "colour": colour, "rmse_deg": _of_each_joint(comparison, name)}

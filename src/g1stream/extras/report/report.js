@@ -163,7 +163,9 @@
       const rows = [["measured", "y"], ["error", "y2"]];
       const traces = rows.flatMap(([what, yaxis]) => comparison.lines.map((one, i) =>
         ofSide(comparison, i, one[what][chosen], { yaxis, more: yaxis !== "y" })));
-      return [[...traces, reference], layout(520, {
+      const simulated = comparison.lines.flatMap((one, i) => !one.simulated ? [] : [ofSide(
+        comparison, i, one.simulated[chosen], { what: "simulated, ", dash: "dot" })]);
+      return [[...traces, ...simulated, reference], layout(520, {
         xaxis: axis(MOTION_TIME, { anchor: "y2" }),
         yaxis: axis("position, deg", { domain: [0.46, 1] }),
         yaxis2: axis("reference - measured, deg", { domain: [0, 0.38] }),
@@ -171,12 +173,13 @@
     },
   };
   // A line of a session; its side is named once in the legend, and shown or hidden as a whole.
-  function ofSide(comparison, i, curve, { yaxis = "y", more = false } = {}) {
-    const { side, name } = comparison.lines[i], { name: legend, colour } = comparison.sides[side];
+  function ofSide(comparison, i, curve, { yaxis = "y", more = false, what = "", dash = "solid" } = {}) {
+    const { side, name } = comparison.lines[i], { name: shown, colour } = comparison.sides[side];
     const first = comparison.lines.findIndex((one) => one.side === side) === i;
+    const legend = what + shown;
     return line(curve, {
       yaxis, name: legend, legendgroup: legend, showlegend: first && !more, text: name,
-      opacity: 0.8, line: { width: 1.3, color: colour },
+      opacity: 0.8, line: { width: 1.3, color: colour, dash },
       hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(name)}<extra></extra>`,
     });
   }

@@ -4,7 +4,8 @@
 
 It follows the requirements of the packages that are installed beside g1stream, so it needs an
 environment with the extras, such as that of `make test`. A size is that of the installed files,
-without bytecode. Extras that are not installed are named, not measured.
+without bytecode; of g1stream itself, which is installed from its checkout, it is 0. Extras that
+are not installed are named, not measured.
 """
 
 from __future__ import annotations
@@ -25,20 +26,18 @@ def needed(name: str, extras: frozenset[str] = frozenset()) -> set[str]:
     Raises:
         PackageNotFoundError: one of them is not installed.
     """
-    found, todo = set[str](), [(name, extras)]
-    seen = set[tuple[str, frozenset[str]]]()
+    todo, seen = [(name, extras)], set[tuple[str, frozenset[str]]]()
     while todo:
-        name, extras = one = todo.pop()
+        one = todo.pop()
         if one in seen:
             continue
         seen.add(one)
-        found.add(re.sub(r"[-_.]+", "-", name).lower())
-        for text in distribution(name).requires or ():
+        environments = [{"extra": extra} for extra in (*one[1], "")]
+        for text in distribution(one[0]).requires or ():
             required = Requirement(text)
-            environments = [{"extra": extra} for extra in (*extras, "")]
             if not required.marker or any(map(required.marker.evaluate, environments)):
                 todo.append((required.name, frozenset(required.extras)))
-    return found
+    return {re.sub(r"[-_.]+", "-", name).lower() for name, _ in seen}
 
 
 def megabytes(name: str) -> float:

@@ -34,8 +34,8 @@ class G1StreamError(Exception):
 
     Args:
         cause: what is wrong, with the name of the file, line, joint or topic.
-        remedy: what to do about it, with the valid choices if there are any. It names flags of the
-            command line; in Python `--joint-order` is the argument `joint_order`.
+        remedy: what to do about it, with the valid choices if there are any. Flags in it are those
+            of the command line; in Python `--joint-order` is the argument `joint_order`.
     """
 
     def __init__(self, cause: str, remedy: str) -> None:

@@ -62,7 +62,7 @@ TRACKING = TrackingSummary(
     compared_s=14.0,
     rmse_without_delay_rad=0.0031,
     rmse_without_delay_and_mean_rad=0.0024,
-    all_joints=together(0.004, range(len(JOINT_NAMES)), delay_s=0.0021),
+    all_joints=together(0.004, range(len(JOINT_NAMES)), delay_s=0.0021, delay_ci95_s=0.0003),
     limbs={
         limb: together(0.001 * (i + 2), joints)
         for i, (limb, joints) in enumerate(JOINT_GROUPS.items())
@@ -71,8 +71,8 @@ TRACKING = TrackingSummary(
 )
 
 
-def with_delay(delay, ci95=None, **more):
-    errors = TRACKING.all_joints.model_copy(update={"delay_s": delay, "delay_ci95_s": ci95})
+def with_delay(delay, **more):
+    errors = TRACKING.all_joints.model_copy(update={"delay_s": delay})
     return TRACKING.model_copy(update={"all_joints": errors, **more})
 
 
@@ -198,7 +198,7 @@ CASES = {
         ),
     ),
     "a robot behind its commands": Summary(
-        tracking=with_delay(-0.0002, ci95=0.0004),
+        tracking=with_delay(-0.0002),
         stream=StreamSummary(preview_s=0.002),
     ),
     "on its feet": Summary(
@@ -249,7 +249,15 @@ CASES = {
     "not recorded": Summary(tracking=with_delay(None), stream=STREAM),
     "looped": Summary(termination=Termination(reason="", played_s=30.0, motion_s=14.0)),
     "nothing known of the end": Summary(termination=Termination(played_s=30.0, motion_s=14.0)),
-    "a selection": Summary(part=True, stream=STREAM),
+    "a delay of a few seconds": Summary(
+        tracking=TRACKING.model_copy(
+            update={
+                "compared_s": 3.0,
+                "all_joints": together(0.004, range(len(JOINT_NAMES)), delay_s=0.0021),
+            }
+        )
+    ),
+    "a selection": Summary(selected=True, stream=STREAM),
     "nothing": Summary(),
 }
 

@@ -235,7 +235,7 @@ def recorder_of(stream: subprocess.Popen[str]) -> int:
     pytest.fail("no recorder")
 
 
-@pytest.mark.alone  # a slow machine that simulates twice notices the fault after the motion
+@pytest.mark.alone  # beside another simulator a slow machine notices it only after the motion
 @pytest.mark.parametrize(
     ("fault", "why"),
     [

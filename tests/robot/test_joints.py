@@ -69,6 +69,7 @@ def test_by_joint_sorts_and_leaves_out_zeros():
         ("legs", range(12)),
         ("left_arm", range(15, 22)),
         (" *_knee_joint , waist_yaw_joint", [3, 9, 12]),
+        ("*_knee,waist_yaw", [3, 9, 12]),
         ("*", range(29)),
     ],
 )

@@ -101,6 +101,7 @@ def test_the_directory_is_read_as_one_session(write_parts, samples):
         assert list(session.replay_bytes(topic)) == data
     assert session.metadata.items() >= {"host": "here", "at_end": True}.items()
     assert session.attachments == {"robot.urdf": b"<robot/>"}
+    assert not session.summary().selected
 
 
 def test_a_renamed_directory_is_still_the_session(write_parts, tmp_path):

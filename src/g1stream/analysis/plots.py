@@ -112,8 +112,10 @@ def plot(
     """See `Session.plot`."""
     if isinstance(joints, str):
         joints = joints.split(",")
-    named = [matching_joints(one.strip(), "In joints") for one in joints or ()]
-    chosen = None if joints is None else list(dict.fromkeys(chain.from_iterable(named)))
+    chosen = None
+    if joints is not None:
+        named = (matching_joints(one.strip(), "In joints") for one in joints)
+        chosen = list(dict.fromkeys(chain.from_iterable(named)))
     if chosen == []:
         raise RecordingError("There is no joint to plot.", "Name a joint, or omit the joints.")
     overview = chosen is None or len(chosen) <= _PANELS

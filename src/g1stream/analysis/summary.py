@@ -61,7 +61,10 @@ _WAITED: Final = 0.05
 #: Supports with which the pelvis moves like the robot, or like the motion.
 _MOVES: Final = {"follow", "free", "feet"}
 #: Text for a part of a session.
-_WHOLE: Final = "a longer session; the counters of its stream and its end are of the whole"
+_WHOLE: Final = (
+    "a longer session. Counters of stream and recorder, and the reason of the end, are those of "
+    "the whole session"
+)
 #: Text for an unknown end.
 _UNTOLD: Final = "not recorded"
 
@@ -146,8 +149,8 @@ class Summary(Record):
     Attributes:
         files_bytes: path of each file -> size, oldest first.
         complete: whether all files are there and were closed properly.
-        part: whether it is a part of a longer session. The counters of the stream and the recorder,
-            and how it ended, are then those of the whole session.
+        selected: whether it is a part of a longer session. The counters of stream and recorder, and
+            the reason of the end, are then those of the whole session.
         first_ns, last_ns: log times of the first and the last message, since the epoch; the last as
             if the clock had not been set in between.
         simulated: whether its times are simulated, as in a rollout.
@@ -179,7 +182,7 @@ class Summary(Record):
 
     files_bytes: dict[str, Int] = {}
     complete: bool | None = None
-    part: bool = False
+    selected: bool = False
     first_ns: Int | None = None
     last_ns: Int | None = None
     simulated: bool = False
@@ -293,7 +296,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
     return _filled(
         ("session", _files(summary) if summary.files_bytes or recorder else ""),
         ("recorded", _recorded(summary) if summary.first_ns is not None else ""),
-        ("part of", _WHOLE if summary.part else ""),
+        ("part of", _WHOLE if summary.selected else ""),
         ("log", "; ".join(f"{name}: {text}" for name, text in summary.log.items())),
         ("motion", _motion(motion) if motion else ""),
         ("reference", _attached(summary.attached) if summary.attached else ""),
@@ -528,7 +531,9 @@ def _delay(tracking: TrackingSummary, preview: float | None) -> str:
         return "unknown: too little movement, or no delay explains the error"
     side = "behind" if delay >= 0 else "ahead of"
     within = tracking.all_joints.delay_ci95_s
-    sure = "uncertain, of less than 5 s" if within is None else f"95 %: ±{within * 1e3:.1f} ms"
+    sure = "no 95 % interval: less than 5 s were compared"
+    if within is not None:
+        sure = f"95 %: ±{within * 1e3:.2g} ms"
     # Commands are ahead of the reference, to compensate the robot's delay.
     behind = (
         f", {(delay + preview) * 1e3:.1f} ms behind its commands, which are sent "

@@ -151,8 +151,8 @@ class Recording:
     def __repr__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
         whole = "" if self.complete else ", not closed by its recorder"
-        of = "a part of " if self.selected else ""
-        return f"<{type(self).__name__} {str(self.path)!r}: {of}{counts}{whole}>"
+        selection = ", of which this is a part" if self.selected else ""
+        return f"<{type(self).__name__} {str(self.path)!r}: {counts}{whole}{selection}>"
 
     @property
     def selected(self) -> bool:

@@ -17,7 +17,6 @@ from g1stream.app.session import open_session
 from g1stream.cli.demo import _write_page
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.fit.gap import gap
 from g1stream.extras.report.page import numbers, to_csv
 from g1stream.robot.joints import JOINT_NAMES
 
@@ -273,16 +272,17 @@ def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_
 def test_a_comparison_shows_the_simulated_joints(tmp_path):
     played = g1stream.rollout("demo", seconds=2.0)
     plain, out = played.save(tmp_path / "plain.mcap"), tmp_path / "gap.mcap"
-    gap(played, out=out)
+    g1stream.gap(played, out=out)
+    part = played.sel(time=slice(0.5, 1.5)).save(tmp_path / "part.mcap")
     page = tmp_path / "compare.html"
-    g1stream.compare(plain, out, page=page)
+    g1stream.compare([plain, out], part, page=page)
     (drawn,) = figures(page.read_text())
-    without, line = drawn["lines"]
-    assert "simulated" not in without
+    assert [one["side"] for one in drawn["lines"] if "simulated" in one] == [0]
+    line = drawn["lines"][1]
     knee = JOINT_NAMES.index("left_knee_joint")
     time, angle = (floats(line["simulated"][knee][axis]) for axis in "xy")
     measured = (floats(line["measured"][knee][axis]) for axis in "xy")
-    assert (time[0], time[-1]) == pytest.approx((0.0, 2.0), abs=0.01)
+    assert (time[0], time[-1]) == pytest.approx((0.5, 1.5), abs=0.01)
     inside = np.isfinite(angle)
     assert np.interp(time, *measured)[inside] == pytest.approx(angle[inside], abs=0.5)
 

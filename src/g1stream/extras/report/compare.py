@@ -167,7 +167,8 @@ def compare(
     Raises:
         ConfigError: the page does not end in .html.
         RecordingError: a session has no tracking error or another motion, no joint played in
-            all of them, or two on a side are the same; or the page cannot be written.
+            all of them, or two on a side are the same; the page cannot be written, or joints that
+            `simulate` added cannot be decoded.
     """
     if page is not None:
         check_suffix(Path(page), "a page", ".html")
@@ -560,7 +561,7 @@ def _p(value: float) -> str:
     return "<0.001" if value < 0.001 else f"{value:.3f}"
 
 
-#: Most points for all lines of a joint, so that a page with many sessions is not larger.
+#: Most points for all measured lines of a joint, so that a page with many sessions is not larger.
 _MOST_POINTS: Final = 8000
 #: Colours of base and other.
 _COLOURS: Final = ("#0072b2", "#d55e00")
@@ -632,9 +633,9 @@ def _drawn(
                 "rms": _curves(time, rms, most)[0],
             }
             for one in simulated(session, "q", range(N_JOINTS)):
-                inside = (one.time >= found.time[0]) & (one.time <= found.time[-1])
-                at = np.interp(one.time[inside], found.time, found.motion_time)
-                line["simulated"] = _curves(at, one.values[inside], most)
+                at = np.interp(one.time, found.time, found.motion_time, -np.inf, np.inf)
+                shown = (at >= comparison.start_s) & (at <= comparison.stop_s)
+                line["simulated"] = _curves(at[shown], one.values[shown], most)
             lines.append(line)
     return {
         "sides": [

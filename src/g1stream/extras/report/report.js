@@ -138,7 +138,7 @@
         yaxis: axis("delay, ms", { rangemode: "tozero" }) })];
     },
     errors(comparison) {
-      return [comparison.lines.map((one, i) => ofSide(comparison, i, one.rms)),
+      return [comparison.lines.map((one) => ofSide(comparison, one, "rms", one.rms)),
         layout(300, { xaxis: axis(MOTION_TIME),
                       yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
     },
@@ -160,27 +160,26 @@
     overlay(comparison, chosen) {
       const reference = line(comparison.reference[chosen],
         { name: "reference", line: { width: 1, color: DARK, dash: "dash" } });
-      const rows = [["measured", "y"], ["error", "y2"]];
-      const traces = rows.flatMap(([what, yaxis]) => comparison.lines.map((one, i) =>
-        ofSide(comparison, i, one[what][chosen], { yaxis, more: yaxis !== "y" })));
-      const simulated = comparison.lines.flatMap((one, i) => !one.simulated ? [] : [ofSide(
-        comparison, i, one.simulated[chosen], { what: "simulated, ", dash: "dot" })]);
-      return [[...traces, ...simulated, reference], layout(520, {
+      const rows = [["measured", "y"], ["simulated", "y"], ["error", "y2"]];
+      const traces = rows.flatMap(([what, yaxis]) => comparison.lines.filter((one) => one[what])
+        .map((one) => ofSide(comparison, one, what, one[what][chosen], yaxis)));
+      return [[...traces, reference], layout(520, {
         xaxis: axis(MOTION_TIME, { anchor: "y2" }),
         yaxis: axis("position, deg", { domain: [0.46, 1] }),
         yaxis2: axis("reference - measured, deg", { domain: [0, 0.38] }),
       })];
     },
   };
-  // A line of a session; its side is named once in the legend, and shown or hidden as a whole.
-  function ofSide(comparison, i, curve, { yaxis = "y", more = false, what = "", dash = "solid" } = {}) {
-    const { side, name } = comparison.lines[i], { name: shown, colour } = comparison.sides[side];
-    const first = comparison.lines.findIndex((one) => one.side === side) === i;
-    const legend = what + shown;
+  // A line of a session. The legend names each side once, and what was simulated for it; a name
+  // shows or hides all its lines.
+  function ofSide(comparison, own, what, curve, yaxis = "y") {
+    const { name: side, colour } = comparison.sides[own.side];
+    const [more, dash] = what === "simulated" ? [", simulated", "dot"] : ["", "solid"];
+    const first = comparison.lines.find((one) => one.side === own.side && one[what]) === own;
     return line(curve, {
-      yaxis, name: legend, legendgroup: legend, showlegend: first && !more, text: name,
-      opacity: 0.8, line: { width: 1.3, color: colour, dash },
-      hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(name)}<extra></extra>`,
+      yaxis, name: side + more, legendgroup: side + more, showlegend: first && yaxis === "y",
+      opacity: 0.8, line: { width: 1.3, color: colour, dash }, text: own.name,
+      hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(own.name)}${more}<extra></extra>`,
     });
   }
 

@@ -19,6 +19,7 @@ from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report.page import numbers, to_csv
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.sim.robot import SensorNoise
 
 
 class Page(HTMLParser):
@@ -271,7 +272,8 @@ def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_
 @pytest.mark.slow
 def test_a_comparison_shows_the_simulated_joints(tmp_path):
     played = g1stream.rollout("demo", seconds=2.0)
-    plain, out = played.save(tmp_path / "plain.mcap"), tmp_path / "gap.mcap"
+    plain = g1stream.rollout("demo", seconds=2.0, noise=SensorNoise()).save(tmp_path / "plain.mcap")
+    out = tmp_path / "gap.mcap"
     g1stream.gap(played, out=out)
     part = played.sel(time=slice(0.5, 1.5)).save(tmp_path / "part.mcap")
     page = tmp_path / "compare.html"

@@ -485,19 +485,19 @@ def _ends(
         return part
     middle = np.median(inner, axis=0)
     size = np.sqrt(np.square(inner - middle).mean(axis=1))
-    most = 4.0 * float(np.quantile(size, 0.9)) + 0.01
+    most = 2.0 * float(np.quantile(size, 0.9)) + 0.01
     wide = max(0.0, part[0] - speed), min(trajectory.duration, part[1] + speed)
     span = start + np.asarray(wide) / speed
     rows = slice(*np.searchsorted(signal.times, span))
     at = speed * (signal.times[rows] - start)
-    error = _errors(signal, trajectory, place, wide)[:, joints] - middle
-    off = np.sqrt(np.square(error).mean(axis=1)) > most
-    half = 0.5 * (part[0] + part[1])
-    before, after = (
-        np.flatnonzero(off & (at < part[0] + speed)),
-        np.flatnonzero(off & (at > part[1] - speed)),
+    size = np.sqrt(
+        np.square(_errors(signal, trajectory, place, wide)[:, joints] - middle).mean(axis=1)
     )
-    before, after = before[at[before] < half], after[at[after] > half]
-    first = at[before[-1] + 1] if len(before) and before[-1] + 1 < len(at) else at[0]
-    last = at[after[0] - 1] if len(after) and after[0] else at[-1]
-    return float(first), float(last)
+    # An error may be large for a moment within the playback, so a sum decides. One sample counts
+    # against the playback at most as much as three without an error count for it.
+    total = np.cumsum(1.0 - np.minimum(np.square(size / most), 4.0))
+    half = 0.5 * (part[0] + part[1])
+    before, after = at < min(part[0] + speed, half), at > max(part[1] - speed, half)
+    first = np.where(before, np.append(0.0, total[:-1]), np.inf).argmin()
+    last = np.where(after, total, -np.inf).argmax()
+    return float(at[first]), float(at[last])

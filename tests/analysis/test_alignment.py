@@ -127,6 +127,14 @@ def test_the_error_is_that_of_the_positions_without_their_mean():
     assert play.rmse == pytest.approx(0.03, rel=0.02)
 
 
+def test_a_play_with_large_errors_ends_where_the_robot_stopped():
+    times, q = played(7.0, part=(0.0, 20.0))
+    hertz = np.linspace(0.2, 2.0, 29)
+    q += 0.05 * np.sqrt(2.0) * np.sin(2.0 * np.pi * hertz * times[:, np.newaxis])
+    play = only(find_plays(times, q, MOTION))
+    assert (play.first, play.last) == pytest.approx((0.0, 20.0), abs=0.2)
+
+
 @pytest.mark.parametrize("seconds", [5.0, 12.0, 40.0])
 def test_another_motion_is_not_found(seconds):
     for start in {0.0, (40.0 - seconds) / 2.0}:

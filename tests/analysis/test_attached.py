@@ -169,7 +169,7 @@ def test_our_own_rollout_gets_its_reference_back(tmp_path):
             for message in whole.messages(topic):
                 source.write(topic, message.data, message.log_time, message.publish_time)
         source.add_metadata(whole.metadata)
-        session = Session(source).attach(g1stream.load_motion("demo"))
+        session = Session(source).attach("demo")
         assert session.start_ns == pytest.approx(whole.start_ns, abs=most * 1e9)
         assert session.attached.speed == pytest.approx(1.0, rel=1e-3)
         assert session.tracking().overall == pytest.approx(whole.tracking().overall, rel=0.1)

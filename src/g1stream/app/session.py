@@ -88,7 +88,7 @@ class Session(Recording):
 
         return metrics(self)
 
-    def attach(self, motion: Motion, *, play: int = 1) -> Session:
+    def attach(self, motion: Motion | str | Path, *, play: int = 1) -> Session:
         """The same session, with the motion that was played in it as its reference.
 
         For recordings of other programs, which have commands and states but no reference.
@@ -96,20 +96,25 @@ class Session(Recording):
         `docs/anyones-session.md` describes the method.
 
         Args:
-            motion: motion that was played completely or in part.
+            motion: motion that was played completely or in part, or its file.
             play: number of the playback, from 1, if it was played several times.
 
         Raises:
+            MotionError: the motion file cannot be read.
             RecordingError: the session already has a reference, or is a selection; the motion was
                 not played in it; or several places in the motion are equally likely.
             ConfigError: it was played fewer times.
         """
         from g1stream.analysis.attached import with_motion
+        from g1stream.motion.motion import Motion
+        from g1stream.motion.readers import load_motion
 
         if self.selected:
             raise RecordingError(
                 "A motion is attached to a whole session.", "Attach it first, then select a part."
             )
+        if not isinstance(motion, Motion):
+            motion = load_motion(motion)
         return Session(with_motion(self, motion, play))
 
     def plot(

@@ -35,7 +35,6 @@ class SessionFlags(Command):
             RecordingError: the file is no session, or the motion was not played in it.
         """
         from g1stream.app.session import open_session
-        from g1stream.motion.readers import load_motion
         from g1stream.session.streams import ReferenceStream
 
         session = open_session(path)
@@ -44,4 +43,4 @@ class SessionFlags(Command):
         if session.topics.get(ReferenceStream.topic):
             print_warning(f"{path} has a reference: --motion is not used")
             return session
-        return session.attach(load_motion(self.motion))
+        return session.attach(self.motion)

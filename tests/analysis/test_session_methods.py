@@ -70,6 +70,13 @@ def test_tracking_of_a_part(session):
     np.testing.assert_allclose(part.error, whole.error[inside], atol=1e-9)
 
 
+def test_an_empty_part_is_not_saved(session, tmp_path):
+    part = session.sel(time=slice(50.0, None))
+    with pytest.raises(RecordingError, match=r"-0\.5 to 4\.5 s"):
+        part.save(tmp_path / "part.mcap")
+    assert not list(tmp_path.glob("part*"))
+
+
 def test_an_unknown_phase_is_named_beside_those_there_are(session):
     with pytest.raises(RecordingError) as error:
         session.sel("JUMP")

@@ -61,10 +61,7 @@ _WAITED: Final = 0.05
 #: Supports with which the pelvis moves like the robot, or like the motion.
 _MOVES: Final = {"follow", "free", "feet"}
 #: Text for a part of a session.
-_WHOLE: Final = (
-    "a longer session. Counters of stream and recorder, and the reason of the end, are those of "
-    "the whole session"
-)
+_WHOLE: Final = "a longer session. The end and the problems of the stream are those of the whole"
 #: Text for an unknown end.
 _UNTOLD: Final = "not recorded"
 
@@ -219,6 +216,11 @@ class Summary(Record):
             return self.attached.moves
         return self.stream is not None and self.stream.support in _MOVES
 
+    @property
+    def held(self) -> str:
+        """The support that held the pelvis, so that it did not move as in the motion; or ""."""
+        return self.stream.support or "" if self.stream and not self.moves else ""
+
     @computed_field  # type: ignore[prop-decorator]
     @property
     def duration_s(self) -> float | None:
@@ -231,6 +233,8 @@ class Summary(Record):
         """The summary as text of `WIDTH` columns, with sections for what there is."""
         log = self.feedforward_log  # all that a stream that was killed has left
         stream = stream_facts(self.stream) if self.stream else [("feed-forward", "; ".join(log))]
+        if self.selected:  # the counters are those of the whole session
+            stream = []
         sections = (
             _lines(session_facts(self)),
             _tracking_lines(self.tracking, self) if self.tracking else [],
@@ -529,23 +533,26 @@ def _delay(tracking: TrackingSummary, preview: float | None) -> str:
     delay = tracking.all_joints.delay_s
     if delay is None:
         return "unknown: too little movement, or no delay explains the error"
-    side = "behind" if delay >= 0 else "ahead of"
     within = tracking.all_joints.delay_ci95_s
     sure = "no 95 % interval: less than 5 s were compared"
     if within is not None:
         sure = f"95 %: ±{within * 1e3:.2g} ms"
     # Commands are ahead of the reference, to compensate the robot's delay.
     behind = (
-        f", {(delay + preview) * 1e3:.1f} ms behind its commands, which are sent "
-        f"{preview * 1e3:.1f} ms ahead (stream.preview)"
+        f", {_late(delay + preview)} its commands, which are sent {preview * 1e3:.1f} ms ahead "
+        "(stream.preview)"
         if preview
         else ""
     )
     return (
-        f"the robot is {abs(delay) * 1e3:.1f} ms {side} the reference ({sure}){behind}; RMSE "
+        f"the robot is {_late(delay)} the reference ({sure}){behind}; RMSE "
         f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
         f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
     )
+
+
+def _late(delay: float) -> str:
+    return f"{abs(delay) * 1e3:.1f} ms {'behind' if delay >= 0 else 'ahead of'}"
 
 
 def _balance(balance: BalanceSummary) -> str:

@@ -203,7 +203,7 @@ class Session(Recording):
             force: replace an existing file.
 
         Raises:
-            RecordingError: the file cannot be written.
+            RecordingError: the file cannot be written, or the selected part is empty.
         """
         path, whole = Path(path), Session(self.source)
         topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
@@ -213,6 +213,14 @@ class Session(Recording):
             for topic in topics
             if topic not in before
         ]
+        if self.selected and not any(messages):
+            raise RecordingError(
+                "The selected part has no messages.",
+                f"Select a part of the session, {whole.phases[0].start_s:.1f} to "
+                f"{whole.phases[-1].end_s:.1f} s."
+                if whole.phases
+                else "Select a part that begins before the session ends.",
+            )
         start = min((found[0][0].log_time for found in messages if found), default=0)
         for topic in sorted(before):
             every = list(whole.messages(topic))

@@ -123,6 +123,7 @@ class LoopReport:
     def summary(self, **about: Any) -> StreamSummary:
         """The counters as a record for output and files; `about` has the remaining fields."""
         late, ramp, feed = self.lateness, self.schedule.ramp, self.feedforward
+        kind = None if feed.source.reference_only else feed.kind
         percentiles = None
         if late.n:
             p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
@@ -144,9 +145,9 @@ class LoopReport:
             speed_limited_ticks=by_joint(self.limits.speed_limited.tolist()),
             torque_limited_ticks=by_joint(self.limits.torque_limited.tolist()),
             saturated_ticks=by_joint(feed.saturated.tolist()),
-            feedforward=feed.kind,
+            feedforward=kind,
             support=feed.support,
-            preview_s=feed.preview if feed.kind else None,
+            preview_s=feed.preview if kind else None,
             feedforward_changes=feed.changes,
             balance=feed.source.summary,
             robot=feed.source.name,
@@ -190,7 +191,9 @@ class Overruns:
         new, self._logged, self._next_log = skipped - self._logged, skipped, now + _SECOND
         level = logging.WARNING if self._longest >= _LONG_OVERRUN else logging.INFO
         self._longest = 0
-        _LOGGER.log(level, "overrun: ticks skipped: %d, %d in total", new, skipped)
+        _LOGGER.log(
+            level, "overrun: %d ticks skipped since the last message, %d in total", new, skipped
+        )
 
     def stalled(self, gap: int) -> str:
         """Why the session must end after deadlines were missed for `gap` ns, or ""."""

@@ -325,7 +325,8 @@ def test_a_dance_on_free_feet():
     config = load_config(over=short | {"sim.command_delay": 0.004})
     session = g1stream.rollout(motion, config=config, policy=POLICIES / TRACKERS[0])
     assert session.summary().termination.reason == ""
-    assert session.summary().stream.support == "free"
+    stream = session.summary().stream
+    assert (stream.support, stream.feedforward, stream.preview_s) == ("free", None, None)
     assert session.tracking().overall < 0.2
     assert session.base.position[:, 2][session.base.time < 6.0].min() > 0.6
 

@@ -277,9 +277,10 @@ def test_a_comparison_shows_the_simulated_joints(tmp_path):
     g1stream.gap(played, out=out)
     part = played.sel(time=slice(0.5, 1.5)).save(tmp_path / "part.mcap")
     page = tmp_path / "compare.html"
-    g1stream.compare([plain, out], part, page=page)
+    comparison = g1stream.compare([plain, out], part, page=page)
     (drawn,) = figures(page.read_text())
     assert [one["side"] for one in drawn["lines"] if "simulated" in one] == [0]
+    assert {"mpjpe", "mpjpe_root"} & {*comparison.metrics} == {"mpjpe"}  # the pelvis was bolted
     line = drawn["lines"][1]
     knee = JOINT_NAMES.index("left_knee_joint")
     time, angle = (floats(line["simulated"][knee][axis]) for axis in "xy")

@@ -62,6 +62,8 @@ _SHORTEST: Final = 0.1
 _RATE: Final = 20.0
 
 _SIGNED: Final = {"delay"}
+#: Metrics in which the movement of the pelvis counts.
+_OF_PELVIS: Final = {"mpjpe_root", "mpjpe_world", "e_vel", "e_acc"}
 
 
 class Comparison(Record):
@@ -206,7 +208,10 @@ def compare(
         start_s=start,
         stop_s=stop,
         metrics=differences(
-            [[one.named() for one in side] for side in found],
+            [
+                [run.named(one) for run, one in zip(*each, strict=True)]
+                for each in zip(sides, found, strict=True)
+            ],
             {name: unit for name, (unit, _) in NAMED_METRICS.items()},
             _SIGNED,
         ),
@@ -233,6 +238,7 @@ class _Run(NamedTuple):
     rows: NDArray[np.intp]  # (T,) motion times of `reference`, in steps of a common grid
     reference: Floats  # (T, 29) rad
     joints: tuple[int, ...]  # motor indices of the joints that played
+    held: bool  # whether a support held the pelvis
     metrics: Metrics  # of the whole session
     measured: bytes  # hash of all joint positions and their times
     facts: dict[str, str]  # possible causes of a difference, beside the motion
@@ -253,6 +259,13 @@ class _Run(NamedTuple):
             if part.tracking:
                 return part
         raise _nothing_in_common(self, start, stop)
+
+    def named(self, found: Metrics) -> dict[str, float | None]:
+        """The named metrics; of a held pelvis None for those in which its movement counts."""
+        return {
+            name: None if self.held and name in _OF_PELVIS else value
+            for name, value in found.named().items()
+        }
 
 
 def _opened(source: Session | str | Path) -> Session:
@@ -278,6 +291,7 @@ def _read(source: Session | str | Path) -> _Run:
         rows=rows,
         reference=interpolated(rows / _RATE, found.motion_time, found.reference),
         joints=found.joints,
+        held=bool(summary.held),
         metrics=of_all,
         measured=hashlib.sha256(found.motion_time.tobytes() + found.measured.tobytes()).digest(),
         facts=dict(_facts(session, summary)),

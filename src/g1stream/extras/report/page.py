@@ -40,8 +40,6 @@ __all__ = ["numbers", "report"]
 #: Suffixes of the video or picture beside a session with its name; the first found is shown.
 _PICTURES: Final = (".mp4", ".gif", ".png")
 _LARGEST_PICTURE: Final = 50 * 2**20
-#: Supports with which the pelvis does not move as in the motion.
-_HELD: Final = {"bolted", "hanging"}
 #: Number of joints at their torque limits that are listed.
 _MOST_SATURATED: Final = 5
 #: Rate at which the reference is sampled if no motion is attached, Hz.
@@ -163,9 +161,10 @@ def _section(
 ) -> dict[str, Any]:
     """A session's section for the template."""
     support = summary.stream.support if summary.stream else None
-    held = support in _HELD and metrics["body"] is not None
+    held = bool(summary.held and metrics["body"])
     about_held = (
-        f"The pelvis was held ({support}), so its own errors and those in the world are omitted."
+        f"The pelvis was held ({summary.held}), so its own errors and those in the world are "
+        "omitted."
     )
     facts = session_facts(summary)
     if summary.versions:

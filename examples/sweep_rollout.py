@@ -31,7 +31,7 @@ def main() -> None:
             support=args.support,
             feedforward=args.feedforward,
             seconds=args.seconds,
-            config=g1stream.load_config(over={"gains.kp": {"*": kp}}),
+            kp=kp,
         )
         tracking = session.tracking()
         rmse.append(tracking.overall)

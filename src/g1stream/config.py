@@ -426,7 +426,7 @@ class SimConfig(Table):
         "bolted",
         "support of the pelvis; bolted: fixed to the world; hanging: an elastic band at the torso; "
         "follow: moved along the streamed reference; free: nothing holds it once the motion "
-        "begins; feet: as free, and a demo or rollout balances the robot (extra `feet`)",
+        "begins; feet: as free, but `demo` and `rollout` balance it (extra `feet`)",
         flag=("sim", "demo"),
     )
     self_collision: bool = setting(
@@ -674,8 +674,8 @@ class Config(Table):
     robot: Path | None = setting(
         None,
         "the robot: g1_29dof_rev_1_0, g1_29dof (which unitree_mujoco simulates), g1_23dof, "
-        "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0, and for "
-        "feed-forward whichever of the first two fits better",
+        "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0; the "
+        "feed-forward takes it or g1_29dof, whichever fits the robot better",
         flag=ROBOT_FLAG,
         metavar="NAME_OR_URDF",
         example="g1_29dof",

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from g1stream.cli.command import Command, announce_wire
+from g1stream.cli.convert import Convert
+from g1stream.cli.demo import Demo
 from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
@@ -199,6 +201,20 @@ def test_what_few_need_is_in_the_whole_help_only(capsys):
 
 def test_a_command_without_such_flags_has_one_help(capsys):
     assert "--help-all" not in helped(Several, "several", "--help", capsys=capsys)
+
+
+@pytest.mark.parametrize("kind", [Demo, Stream])
+def test_the_help_of_a_demo_has_the_domain_that_it_chooses(kind, capsys):
+    words = " ".join(helped(kind, kind.__name__.lower(), "--help", capsys=capsys).split())
+    assert ("default: the first free one of 1 to 8)" in words) is (kind is Demo)
+    assert ("0 to 232; default: 1)" in words) is (kind is Stream)
+
+
+@pytest.mark.parametrize(("kind", "tables"), [(Convert, False), (Stream, True)])
+def test_tables_are_promised_where_the_whole_help_has_them(kind, tables, capsys):
+    name = kind.__name__.lower()
+    assert ("TOML table" in helped(kind, name, "--help", capsys=capsys)) is tables
+    assert ("[dds]" in helped(kind, name, "--help-all", capsys=capsys)) is tables
 
 
 def test_the_whole_help_has_every_setting_with_its_table(capsys):

@@ -21,3 +21,10 @@ def test_success_of_a_robot_that_nothing_holds(tmp_path, capsys, support, told):
         metrics = session.metrics()
         assert summary["success"] == metrics.success.model_dump(mode="json")
         assert summary["terminations"] == metrics.body.terminations.model_dump(mode="json")
+
+
+def test_a_file_that_does_not_exist_is_no_session(tmp_path, capsys):
+    assert main(["info", str(tmp_path / "none.mcap")]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "none.mcap" in told
+    assert "permissions" not in told

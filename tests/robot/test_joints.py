@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from g1stream.robot.joints import (
     N_JOINTS,
     JointSet,
     by_joint,
+    matching_joints,
     select_joints,
 )
 
@@ -108,3 +111,17 @@ def test_the_kinds_of_g1_by_mode_machine(mode_machine, name, absent):
 @pytest.mark.parametrize("mode_machine", [0, 1, 2, 3, 7, 255])
 def test_other_modes_are_of_no_known_kind(mode_machine):
     assert JointSet.of_mode(mode_machine) is None
+
+
+def test_an_unknown_joint_without_close_matches_has_a_short_remedy():
+    with pytest.raises(ConfigError) as error:
+        matching_joints("", "In joints")
+    assert len(error.value.remedy) < 200
+    assert all(limb in error.value.remedy for limb in (*JOINT_GROUPS, "arms", "legs", "*_knee"))
+
+
+def test_the_page_that_the_remedy_names_lists_the_joints():
+    page = (Path(__file__).parents[2] / "docs/glossary.md").read_text()
+    missing = [name for name in JOINT_NAMES if f"`{name}`" not in page]
+    assert all(name.startswith("right_") for name in missing)
+    assert len(missing) == 13

@@ -209,7 +209,7 @@ def test_a_stream_is_read_once_and_alone(sent, write_session):
     path.unlink()
     assert session.measured.q is q
     assert session.measured.dq.shape == (17, 29)
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="no session file"):
         _ = session.command.q
 
 

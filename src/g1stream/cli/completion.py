@@ -42,7 +42,9 @@ class Completion(Command):
         """Print the script, and return the exit code."""
         import shtab
 
-        print(shtab.complete(_parser_of_all(shtab.FILE, shtab.DIRECTORY), self.shell))
+        script = shtab.complete(_parser_of_all(shtab.FILE, shtab.DIRECTORY), self.shell)
+        # shtab's comment names a directory that bash-completion does not read.
+        print(script.replace("/share/bash_completion/", "/share/bash-completion/completions/"))
         return EXIT_OK
 
 

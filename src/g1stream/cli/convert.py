@@ -81,7 +81,9 @@ class Convert(MotionPartFlags, QuietFlag):
         "MOTION... FILE",
     )
     to: MotionFormat | None = flag(
-        None, "Write a motion file for another program.", shown="a session"
+        None,
+        "Write a motion file for another program.",
+        shown="a motion file of g1stream if FILE ends in .csv or .npz, otherwise a session",
     )
     velocities: Velocities = flag(
         "spline",

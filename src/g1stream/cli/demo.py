@@ -6,7 +6,7 @@ from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from g1stream.cli.command import LiveCommand, exit_code, print_note, print_summary, print_warning
 from g1stream.cli.flags import flag
@@ -26,8 +26,7 @@ class Demo(LiveCommand, MotionFlags):
 
     With the extra `report` it also writes report.html.
 
-    Unless --domain or the config file sets a domain, it uses the first of the DDS domains 1 to 8
-    without a publisher of LowState or LowCmd.
+    A DDS domain is free if it has no publisher of LowState or LowCmd.
 
     Examples:
       g1stream demo
@@ -42,6 +41,8 @@ class Demo(LiveCommand, MotionFlags):
       2        bad input
       128 + n  ended by signal n: 130 after Ctrl-C
     """
+
+    defaults: ClassVar = {"dds.domain": "the first free one of 1 to 8"}
 
     motion: str = flag("demo", MOTION, "MOTION")
     out: Path = flag(

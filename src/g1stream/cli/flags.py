@@ -113,7 +113,8 @@ def parse_flags(
     The class `kind` is a dataclass with a `flag` or an `argument` in each field. The help shows its
     docstring below the flags, with wrapped paragraphs. A class with the field `settings` also gets
     a flag for each setting that has one on this command. The field then holds the settings that
-    were given, keyed like `stream.rate`.
+    were given, keyed like `stream.rate`. `kind.defaults` describes, by such keys, the settings
+    whose default the command itself chooses.
 
     Raises:
         ConfigError: a flag or an argument is unknown or missing, or a flag does not accept its
@@ -139,13 +140,15 @@ def _parser_of(
     for one in own:
         parser.add_flag(parser, one.name, one.metadata["option"], hints[one.name], one.default)
     settings = _settings_of(name) if "settings" in hints else {}
+    defaults = getattr(kind, "defaults", {})
     for table in dict.fromkeys(key.rpartition(".")[0] for key in settings):
         # The tables of a TOML file only interest users who want to see all flags.
         group = parser.add_argument_group(f"[{table}]") if table and everything else parser
         for key, setting in settings.items():
             if key.rpartition(".")[0] == table:
-                parser.add_flag(group, key, _option_of(setting), setting.annotation)
-    parser.complete()
+                option = _option_of(setting, defaults.get(key, ""))
+                parser.add_flag(group, key, option, setting.annotation)
+    parser.complete(tables=any("." in key for key in settings))
     return parser, settings, hints
 
 
@@ -239,8 +242,11 @@ class _Parser(ArgumentParser):
 
         return read
 
-    def complete(self) -> None:
-        """Write the usage, and add --help-all if there are advanced flags."""
+    def complete(self, *, tables: bool) -> None:
+        """Write the usage, and add --help-all if there are advanced flags.
+
+        `tables` is whether it shows settings in the tables of a TOML file.
+        """
         indent = " " * len("usage: ")
         usage = textwrap.fill(
             " ".join(self._usage),
@@ -252,8 +258,8 @@ class _Parser(ArgumentParser):
         self.usage = usage.lstrip()
         if self._advanced or self._everything:
             which = "all flags" if self._everything else counted(self._advanced, "more flag")
-            text = f"Show {which}, and their tables in a TOML file."
-            self.add_argument("--help-all", action="help", help=text)
+            more = ", and the TOML table of each setting" if tables else ""
+            self.add_argument("--help-all", action="help", help=f"Show {which}{more}.")
 
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:
         """The values that were given, by the key of `add_flag`."""
@@ -300,8 +306,8 @@ def _settings_of(command: str) -> dict[str, FieldInfo]:
     return found
 
 
-def _option_of(setting: FieldInfo) -> _Option:
-    """The flag of a setting."""
+def _option_of(setting: FieldInfo, shown: str) -> _Option:
+    """The flag of a setting; `shown` stands for the default in the help, unless it is ""."""
     from g1stream.config import accepted
 
     about: Any = setting.json_schema_extra
@@ -309,8 +315,8 @@ def _option_of(setting: FieldInfo) -> _Option:
     if default is True:
         text = f"Switch this off: {text}"
     notes = [] if _choices(setting.annotation) else [accepted(setting)]
-    if default is not None and not isinstance(default, bool):
-        notes.append(f"default: {_text(default)}")
+    if shown or (default is not None and not isinstance(default, bool)):
+        notes.append(f"default: {shown or _text(default)}")
     return _Option(
         text=f"{text[0].upper()}{text[1:]}.",
         metavar=about["metavar"] or _UNITS.get(about["unit"], about["unit"].upper()),

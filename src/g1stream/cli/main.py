@@ -57,7 +57,7 @@ COMMANDS: Final = {
         "info": ("cli.info:Info", "Print a session's contents and its tracking error."),
         "attach": (
             "cli.attach:Attach",
-            "Find when a motion was played in a session without a reference.",
+            "Find where in a recording of another program a motion was played.",
         ),
         "report": (
             "extras.report.report_cli:Report",

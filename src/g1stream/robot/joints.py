@@ -122,8 +122,8 @@ def matching_joints(pattern: str, where: str) -> list[int]:
             f"{where}: {pattern!r} matches no joint.",
             f"Close matches: {', '.join(close)}."
             if close
-            else f"Use {', '.join(JOINT_GROUPS)}, arms, legs, a pattern such as *_knee_joint, or "
-            f"one of {', '.join(JOINT_NAMES)}.",
+            else f"Use {', '.join(JOINT_GROUPS)}, arms, legs, a joint such as left_knee, or a "
+            "pattern such as *_knee. docs/glossary.md lists the joints.",
         )
     return found
 

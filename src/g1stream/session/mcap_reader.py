@@ -446,6 +446,11 @@ def open_mcap(path: Path) -> IO[bytes]:
             # Opening a pipe may block, and a pipe cannot seek.
             raise RecordingError(f"{path} is not a file.", "Give an MCAP file.")
         file = path.open("rb")
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"There is no session file {path}.",
+            "Give the path of a session file, or the directory of a split recording.",
+        ) from error
     except OSError as error:
         raise RecordingError(
             f"The file {path} cannot be read: {error.strerror}.",

@@ -18,9 +18,9 @@ class Policy(Command):
     a motion in the policy or --motion, the first five seconds are tried with the robot exactly at
     the reference. Targets far from it show a wrong motion, order, term or scale.
 
-    With --replay, the policy plays a recorded session again. The result shows whether the recorded
-    observations give the recorded actions, bit for bit. It also compares observations recomputed
-    from LowState and Reference with the recorded ones, term by term.
+    --replay feeds the recorded observations to the policy and checks that it gives the recorded
+    actions, bit for bit. It also compares observations recomputed from LowState and Reference with
+    the recorded ones, term by term.
 
     Examples:
       g1stream policy policy.onnx
@@ -37,7 +37,7 @@ class Policy(Command):
         None, "ONNX file of the policy; default: the recorded one.", "FILE", positional=True
     )
     motion: str | None = flag(None, "Motion to track.", "MOTION")
-    replay: str | None = flag(None, "Session that the policy plays again.", "SESSION")
+    replay: str | None = flag(None, "Session whose observations the policy gets.", "SESSION")
     json: bool = flag(False, "Print the result as JSON.")
 
     def run(self) -> int:

@@ -563,7 +563,8 @@ def significance(comparison: Comparison) -> str:
     if min(sides) < 2:
         return (
             f"With {sides[0]} and {sides[1]} sessions no difference can be distinguished from the "
-            "noise between runs: give two or more on each side."
+            "noise between runs: give two or more on each side (rollouts: each with its own "
+            "`noise`)."
         )
     return (
         f"Significant means p < {SIGNIFICANT:g} in Welch's t-test on {sides[0]} and {sides[1]} "

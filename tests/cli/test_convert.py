@@ -138,6 +138,10 @@ CASES = {
         lambda tmp: ["demo", tmp / "a.npz", "--to", "mjlab", "--resample", "60"],
         "--resample",
     ),
+    "a URDF for a motion file": (
+        lambda tmp: ["demo", tmp / "a.npz", "--urdf", "g1_23dof"],
+        "the output",
+    ),
     "velocities for a session": (
         lambda tmp: ["demo", tmp / "a.mcap", "--velocities", "finite"],
         "--to",

@@ -172,7 +172,7 @@ class Convert(MotionPartFlags, QuietFlag):
         elif self.velocities != Convert.velocities:
             raise ConfigError("--velocities has no effect without --to.", "Add --to, or remove it.")
         elif self.out.suffix.lower() in MOTION_SUFFIXES:
-            self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
+            self._require(_OF_MOTION_FILE | of_motion, f"the output {self.out}, a motion file")
             return self._motion_file()
         try:
             return self._convert()

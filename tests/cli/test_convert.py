@@ -46,6 +46,29 @@ def test_the_rate_that_a_csv_does_not_keep_is_told(tmp_path):
     assert "--fps 60" in done.stderr
 
 
+@pytest.mark.parametrize("flags", [("m.csv",), ("m.npz", "--to", "mjlab"), ("m.mcap",)])
+def test_what_a_file_does_not_say_is_told(tmp_path, flags):
+    """Rate and orders of a CSV without a header; nothing for one that is asked for or named."""
+    name, *to = flags
+    path = tmp_path / "bare.csv"
+    rows = np.loadtxt(DEMO, delimiter=",", skiprows=1)
+    rows[:, 8:] *= 0.1  # too calm for joint limits to tell the order
+    np.savetxt(path, rows[:, 1:], "%.6f", delimiter=",")
+    done = run(path, tmp_path / name, *to, "--quiet")
+    assert done.returncode == 0
+    assert [line.split(":")[:3] for line in done.stderr.splitlines()] == [
+        ["warning", " bare.csv", f" {subject}"]
+        for subject in ("joint order", "pelvis", "frame rate")
+    ]
+    assert [line.rsplit(":")[-1] for line in done.stderr.splitlines()] == [
+        " motor, assumed.",
+        " the columns before the joints, xyzw, assumed.",
+        " 30 fps, assumed.",
+    ]
+    done = run(DEMO, tmp_path / name, *to, "--fps", "30", "--force")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_the_summary_as_json(out):
     done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
     told = json.loads(done.stdout)

@@ -150,7 +150,7 @@ def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, aske
     assert_same(found, motion)
     assert len(found.warnings) == (order == "isaaclab" and not asked)
     np.savetxt(path, np.hstack([pose, 0 * angles]), "%.17g", delimiter=",")
-    assert opened(path).evidence.assumed.keys() == {"joint order", "frame rate"}
+    assert opened(path).evidence.assumed.keys() == {"joint order", "pelvis", "frame rate"}
 
 
 def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):

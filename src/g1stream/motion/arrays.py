@@ -132,11 +132,16 @@ _SONIC_BODIES: Final = 14
 
 
 class _Root(NamedTuple):
-    """The pelvis's pose, (T, 3) m and (T, 4), and the names of its arrays."""
+    """The pelvis's pose, (T, 3) m and (T, 4), and the names of its arrays.
+
+    Attributes:
+        assumed: there is no evidence for the order of its quaternion.
+    """
 
     pos: Floats
     quat_wxyz: Floats
     source: str
+    assumed: bool = False
 
 
 class _Columns(NamedTuple):
@@ -223,7 +228,7 @@ class ArrayFile:
         assumed: dict[str, str] = {}
         (assumed if order.assumed else used)["joint order"] = order.why
         if root:
-            used["pelvis"] = root.source
+            (assumed if root.assumed else used)["pelvis"] = root.source
         else:
             assumed["pelvis"] = "upright at the origin"
         if self._file.fps is None and self._fps:
@@ -456,7 +461,8 @@ class ArrayFile:
             and _lean(orders[other][few]) < _UPRIGHT
         ):
             usual, why = other, ", because the pelvis would lie otherwise"
-        return _Root(pos, orders[usual], f"{source}, {usual}{why}")
+        assumed = name == "table" and not why  # a CSV without a header
+        return _Root(pos, orders[usual], f"{source}, {usual}{why}", assumed)
 
     def _bodies(self, name: str, width: int) -> NDArray[Any]:
         """(T, B, width) in the file's own type, because it has most of the file's numbers."""

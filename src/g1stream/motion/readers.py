@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from g1stream.errors import MotionError
 from g1stream.files import begins_with, is_session, read_file
 from g1stream.input_limits import CSV_LINE, MOTION_FILE
-from g1stream.motion.motion import Motion, check_fps
+from g1stream.motion.motion import DEFAULT_FPS, Motion, check_fps
 from g1stream.optional import EXTENSIONS, load_object
 
 if TYPE_CHECKING:
@@ -61,6 +61,11 @@ class Evidence:
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+
+    @property
+    def assumptions(self) -> dict[str, str]:
+        """By subject: what is assumed, as text for a user."""
+        return {subject: f"{text}, assumed" for subject, text in self.assumed.items()}
 
 
 class MotionReader(Protocol):
@@ -240,6 +245,7 @@ def find_motion(
     path, member = Path(path_or_name), None
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
+        fps = DEFAULT_FPS if fps is None else fps  # known, not assumed
     text = str(path)
     with suppress(OSError):  # for example, the name is too long
         for at in (i for i, character in enumerate(text) if character == ":"):

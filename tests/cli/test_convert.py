@@ -67,6 +67,16 @@ def test_what_a_file_does_not_say_is_told(tmp_path, flags):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_an_assumed_set_of_23_joints_is_told_once(tmp_path):
+    path = tmp_path / "bare.csv"
+    np.savetxt(path, np.zeros((5, 23)), "%.1f", delimiter=",")
+    done = run(path, tmp_path / "m.npz", "--to", "mjlab")
+    assert done.returncode == 0
+    (told,) = (line for line in done.stderr.splitlines() if "joint order" in line)
+    assert "motor, without the six wrists" in told
+    assert "--joint-order motor-23dof" in told
+
+
 def test_the_summary_as_json(out):
     done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
     told = json.loads(done.stdout)

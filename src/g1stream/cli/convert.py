@@ -187,9 +187,12 @@ class Convert(MotionPartFlags, QuietFlag):
     def _read(self, path: str, robot: G1 | None) -> Motion:
         file = self.find(path, robot)
         reader = file.open()
-        assumed = reader.evidence.assumptions.items()
-        motion = reader.motion()
-        notes = (f"{file.path.name}: {subject}: {text}." for subject, text in assumed)
+        evidence, motion = reader.evidence, reader.motion()
+        notes = (
+            f"{file.path.name}: {subject}: {text}."
+            for subject, text in evidence.assumptions.items()
+            if not any(evidence.assumed[subject] in told for told in motion.warnings)
+        )
         return replace(motion, warnings=(*motion.warnings, *notes))
 
     def _require(self, flags: set[str], what: str) -> None:

@@ -271,8 +271,10 @@ def load_motion(
         fps: frames per second. If None, the file's, or 30 if it has none (a CSV never has one).
             A session is sampled at this rate, by default the rate of its reference.
         joint_order: joint order if the file does not name joints. If None, bodies and joint limits
-            decide; if both orders fit, a CSV file is in motor order.
-        robot: robot that plays it. No warning names joints that both the file and it lack.
+            decide; if both orders fit, a CSV file is in motor order. `motor-23dof` is for columns
+            of the joints of g1_23dof.
+        robot: robot that plays it. No warning names joints that both the file and it lack. If 23
+            columns fit its joints as well as others, they are its joints.
 
     Returns:
         The motion, with its joints in motor order and unit quaternions. `Motion.warnings` lists

@@ -42,9 +42,9 @@ FeedForwardKind = Literal["none", "velocity", "dynamics"]
 BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]
 """Handling of a motion beyond the robot's limits."""
 
-JointOrder = Literal["motor", "isaaclab"]
+JointOrder = Literal["motor", "isaaclab", "motor-23dof"]
 """Order of joints: `motor` as in LowCmd, the URDF and MuJoCo; `isaaclab` breadth first, as in Isaac
-Sim."""
+Sim; `motor-23dof` is motor order of the joints that the G1 with 23 has."""
 
 MotionFormat = Literal["beyondmimic", "mjlab", "holosoma", "sonic", "lafan1", "gmr"]
 """A format of motion files for other programs; docs/formats.md lists the programs."""

@@ -46,6 +46,37 @@ def test_the_rate_that_a_csv_does_not_keep_is_told(tmp_path):
     assert "--fps 60" in done.stderr
 
 
+@pytest.mark.parametrize("flags", [("m.csv",), ("m.npz", "--to", "mjlab"), ("m.mcap",)])
+def test_what_a_file_does_not_say_is_told(tmp_path, flags):
+    """Rate and orders of a CSV without a header; nothing for one that is asked for or named."""
+    name, *to = flags
+    path = tmp_path / "bare.csv"
+    rows = np.loadtxt(DEMO, delimiter=",", skiprows=1)
+    rows[:, 8:] *= 0.1  # too calm for joint limits to tell the order
+    np.savetxt(path, rows[:, 1:], "%.6f", delimiter=",")
+    done = run(path, tmp_path / name, *to, "--quiet")
+    assert done.returncode == 0
+    assert [line.split(":")[:3] for line in done.stderr.splitlines()] == [
+        ["warning", " bare.csv", f" {subject}"]
+        for subject in ("joint order", "pelvis", "frame rate")
+    ]
+    order, *others = (line.split(": ", 3)[3] for line in done.stderr.splitlines())
+    assert order.startswith("motor: ")
+    assert others == ["the columns before the joints, xyzw, assumed.", "30 fps, assumed."]
+    done = run(DEMO, tmp_path / name, *to, "--fps", "30", "--force")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_assumed_set_of_23_joints_is_told_once(tmp_path):
+    path = tmp_path / "bare.csv"
+    np.savetxt(path, np.zeros((5, 23)), "%.1f", delimiter=",")
+    done = run(path, tmp_path / "m.npz", "--to", "mjlab")
+    assert done.returncode == 0
+    (told,) = (line for line in done.stderr.splitlines() if "joint order" in line)
+    assert "motor, without the six wrists" in told
+    assert "--joint-order motor-23dof" in told
+
+
 def test_the_summary_as_json(out):
     done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
     told = json.loads(done.stdout)
@@ -137,6 +168,10 @@ CASES = {
     "a rate for a format that has its own": (
         lambda tmp: ["demo", tmp / "a.npz", "--to", "mjlab", "--resample", "60"],
         "--resample",
+    ),
+    "a URDF for a motion file": (
+        lambda tmp: ["demo", tmp / "a.npz", "--urdf", "g1_23dof"],
+        "the output",
     ),
     "velocities for a session": (
         lambda tmp: ["demo", tmp / "a.mcap", "--velocities", "finite"],

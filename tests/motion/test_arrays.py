@@ -14,7 +14,6 @@ import zlib
 from collections import Counter, OrderedDict
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import joblib
 import numpy as np
@@ -27,7 +26,6 @@ from g1stream.motion.readers import find_motion
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import xyzw_from_wxyz
-from g1stream.types import JointOrder
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -89,7 +87,7 @@ def test_isaaclab_order_is_breadth_first():
     assert names_in_order("motor") == g1stream.JOINT_NAMES
 
 
-@pytest.mark.parametrize("order", get_args(JointOrder))
+@pytest.mark.parametrize("order", ["motor", "isaaclab"])
 @pytest.mark.parametrize("robot", ["g1_29dof", "g1_29dof_rev_1_0"])
 def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order, robot):
     """BeyondMimic and mjlab write the same arrays, in different orders."""
@@ -150,7 +148,7 @@ def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, aske
     assert_same(found, motion)
     assert len(found.warnings) == (order == "isaaclab" and not asked)
     np.savetxt(path, np.hstack([pose, 0 * angles]), "%.17g", delimiter=",")
-    assert opened(path).evidence.assumed.keys() == {"joint order", "frame rate"}
+    assert opened(path).evidence.assumed.keys() == {"joint order", "pelvis", "frame rate"}
 
 
 def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
@@ -519,6 +517,79 @@ def test_the_joints_of_a_g1_with_23_are_read(tmp_path, motion):
         replace(motion, joint_pos=motion.joint_pos * present),
         root=False,
     )
+
+
+#: The joints in 23 columns without names.
+OF_23 = {
+    "motor": np.delete(np.arange(29), WRISTS),
+    "motor-23dof": np.flatnonzero(G1.load("g1_23dof").present),
+    "isaaclab": np.array([i for i in np.argsort(ISAACLAB) if i not in WRISTS]),
+}
+
+
+def without_names(path, motion, order, scale=1.0):
+    """Write the joints of an order as a CSV without header; returns the motion in the file."""
+    pose = np.hstack([motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz)])
+    columns = scale * motion.joint_pos[:, OF_23[order]]
+    np.savetxt(path, np.hstack([pose, columns]), "%.17g", delimiter=",")
+    expected = np.zeros_like(motion.joint_pos)
+    expected[:, OF_23[order]] = columns
+    return replace(motion, joint_pos=expected)
+
+
+@pytest.mark.parametrize("robot", [None, "g1_29dof_rev_1_0", "g1_23dof"])
+@pytest.mark.parametrize("order", OF_23)
+def test_limits_tell_which_23_joints_a_csv_has(tmp_path, motion, order, robot):
+    path = tmp_path / "motion.csv"
+    expected = without_names(path, motion, order)
+    found = g1stream.load_motion(path, fps=50, robot=robot and G1.load(robot))
+    assert_same(found, expected)
+    assert any("--joint-order" in text for text in found.warnings) == (order != "motor")
+    assert opened(path).evidence.used["joint order"].startswith(order)
+
+
+@pytest.mark.parametrize(
+    ("asked", "robot", "order"),
+    [
+        (None, None, "motor"),
+        (None, "g1_23dof", "motor-23dof"),
+        ("motor", "g1_23dof", "motor"),
+        ("motor-23dof", None, "motor-23dof"),
+        ("isaaclab", None, "isaaclab"),
+    ],
+)
+def test_the_23_joints_of_a_calm_csv(tmp_path, motion, asked, robot, order):
+    """Limits do not tell them: the flag does, then the robot."""
+    path = tmp_path / "motion.csv"
+    expected = without_names(path, motion, order, scale=0.1)
+    model = robot and G1.load(robot)
+    assert_same(g1stream.load_motion(path, fps=50, joint_order=asked, robot=model), expected)
+    file = find_motion(path, joint_order=asked, robot=model).open()
+    hints = [text for text in file.motion().warnings if "--joint-order" in text]
+    if asked:
+        assert hints == []
+        return
+    other = "motor" if robot else "motor-23dof"
+    assert file.evidence.assumed["joint order"].startswith(f"{order}, ")
+    assert [f"--joint-order {other} " in text for text in hints] == [True]
+
+
+def test_an_order_of_23_joints_is_none_of_29(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    np.savez(path, q=motion.joint_pos, fps=50)
+    with pytest.raises(MotionError, match="23 joints"):
+        g1stream.load_motion(path, joint_order="motor-23dof")
+
+
+@pytest.mark.parametrize("order", ["motor", "motor-23dof"])
+@pytest.mark.parametrize("scale", [1.0, 0.3])
+def test_the_23_joints_of_a_dance(tmp_path, real_clip, order, scale):
+    """At full size limits tell them; of a calmer dance the robot does."""
+    path = tmp_path / "dance.csv"
+    expected = without_names(path, g1stream.load_motion(real_clip), order, scale)
+    robot = G1.load("g1_23dof") if scale < 1.0 and order == "motor-23dof" else None
+    found = g1stream.load_motion(path, robot=robot)
+    assert_same(found, expected)
 
 
 def test_a_quaternion_before_the_position_is_told_by_its_norm(tmp_path, motion):

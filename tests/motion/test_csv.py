@@ -97,6 +97,15 @@ def test_columns_may_be_in_any_order(load, order, seed):
     assert_same(load(csv(shuffled, order)), load(csv(rows)))
 
 
+def test_the_order_of_the_quaternion_is_that_of_the_header(load):
+    order = ("Frame", "X", "Y", "Z", "quat_w", "quat_x", "quat_y", "quat_z", *JOINT_NAMES)
+    rows = rows_of(3)
+    w_first = load(csv([[*row[:4], row[7], *row[4:7], *row[8:]] for row in rows], order))
+    evidence = find_motion(w_first.source).open().evidence
+    assert evidence.used["pelvis"] == "root_pos, root_quat_wxyz, wxyz"
+    assert_same(w_first, load(csv(rows)))
+
+
 @given(cells=st.lists(st.floats(-1e9, 1e9), min_size=29 * 2, max_size=29 * 2))
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_numbers_are_read_to_the_last_bit(load, cells):

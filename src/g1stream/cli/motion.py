@@ -98,8 +98,8 @@ def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> 
 
 def _evidence_lines(evidence: Evidence) -> list[str]:
     """The arrays in a file, and how each was interpreted."""
-    lines = [_line(subject, text) for subject, text in evidence.used.items()]
-    lines += [_line(subject, f"{text}, assumed") for subject, text in evidence.assumed.items()]
+    found = {**evidence.used, **evidence.assumptions}
+    lines = [_line(subject, text) for subject, text in found.items()]
     for label, names in (("not used", evidence.not_used), ("not in the file", evidence.missing)):
         lines += [_line(label, listed(names))] * bool(names)
     return lines

@@ -85,8 +85,9 @@ _HUMAN: Final = {"poses", "pose_aa", "betas"}
 #: Numbers of a pose, before the angles, or of an object, behind them.
 _POSE: Final = 7
 _WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
+_G1_23DOF: Final = JOINT_SETS[1]
 #: Joints that a motion may lack, because a retargeting tool or a kind of G1 lacks them.
-_MAY_LACK: Final = {*_WRISTS, *(JOINT_NAMES[i] for i in JOINT_SETS[1].absent)}
+_MAY_LACK: Final = {*_WRISTS, *(JOINT_NAMES[i] for i in _G1_23DOF.absent)}
 _READ: Final = "docs/formats.md lists the supported names and shapes of arrays."
 #: Most numbers in an array that is converted to 64 bits.
 _NUMBERS: Final = UNPACKED // 8
@@ -109,6 +110,8 @@ _NEARER: Final = 0.5
 #: beyond them, and more than this multiple.
 _BEYOND: Final = 1e-2
 _TIMES: Final = 10.0
+#: The same fraction for two sets of 23 joints in motor order, which differ in waist and arms only.
+_ARMS: Final = 1e-3
 #: An angle counts as beyond a limit if it is so far beyond it, rad; retargeting tools exceed
 #: limits by as much.
 _EXCESS: Final = 0.02
@@ -132,11 +135,16 @@ _SONIC_BODIES: Final = 14
 
 
 class _Root(NamedTuple):
-    """The pelvis's pose, (T, 3) m and (T, 4), and the names of its arrays."""
+    """The pelvis's pose, (T, 3) m and (T, 4), and the names of its arrays.
+
+    Attributes:
+        assumed: there is no evidence for the order of its quaternion.
+    """
 
     pos: Floats
     quat_wxyz: Floats
     source: str
+    assumed: bool = False
 
 
 class _Columns(NamedTuple):
@@ -158,13 +166,13 @@ class _Order(NamedTuple):
     """The joint in each column, and the evidence for it.
 
     Attributes:
-        by_limits: only joint limits show that it is not motor order.
+        other: a likely other order, if joint limits are weak evidence against it; otherwise "".
         assumed: there is no evidence.
     """
 
     columns: tuple[str, ...]
     why: str
-    by_limits: bool = False
+    other: str = ""
     assumed: bool = False
 
 
@@ -223,7 +231,7 @@ class ArrayFile:
         assumed: dict[str, str] = {}
         (assumed if order.assumed else used)["joint order"] = order.why
         if root:
-            used["pelvis"] = root.source
+            (assumed if root.assumed else used)["pelvis"] = root.source
         else:
             assumed["pelvis"] = "upright at the origin"
         if self._file.fps is None and self._fps:
@@ -243,10 +251,11 @@ class ArrayFile:
             yield f"the file lacks the joints {', '.join(absent)}, which stay at 0."
         if missed := [name for name in self._not_used if self._is_missed(name)]:
             yield f"not used: {listed(missed)}."
-        if self._order.by_limits:
+        if self._order.other:
+            how = "is assumed" if self._order.assumed else "was detected only by joint limits"
             yield (
-                f"the joint order was detected only by joint limits; {self._order.why}. Give "
-                "--joint-order if the order is another."
+                f"the joint order {how}; {self._order.why}. Give --joint-order {self._order.other} "
+                "if that is the order."
             )
         hint = _RATE.search(self._file.member or self._file.path.stem)
         if hint and not (self._fps or self._file.fps) and float(hint[1]) != DEFAULT_FPS:
@@ -346,19 +355,23 @@ class ArrayFile:
         """The joint order by the names in the file, by the flag, or by evidence.
 
         If the file has body positions, forward kinematics in the right order puts the links at the
-        bodies. Otherwise the order is the one with fewer angles beyond the joint limits. If both
-        orders fit, a table without a header is in motor order.
+        bodies. Otherwise the order is the one with the fewest angles beyond the joint limits. If
+        motor order and Isaac Lab's fit, a table without a header is in motor order. Of two sets of
+        23 joints that fit equally, the robot's is assumed, or the one without wrists.
         """
         if self._names:
             return _Order(self._names, "named by the file")
         angles, asked = self._columns.angles, self._file.joint_order
-        without = "" if angles.shape[1] == N_JOINTS else ", without the six wrists"
-        names = {
-            order: tuple(n for n in names_in_order(order) if not without or n not in _WRISTS)
-            for order in get_args(JointOrder)
-        }
+        names = _layouts(angles.shape[1])
+        told = {order: f"{order}{_set_of(joints)}" for order, joints in names.items()}
+        if asked and asked not in names:
+            raise self._error(
+                f"--joint-order {asked} is for {len(names_in_order(asked))} joints, and "
+                f"{self._columns.name} has {angles.shape[1]}",
+                f"Give one of {', '.join(names)}.",
+            )
         if asked:
-            return _Order(names[asked], f"{asked}{without}, as requested")
+            return _Order(names[asked], f"{told[asked]}, as requested")
         root, bodies = self._root, self._first(_BODY_POSITIONS)
         if root and bodies:
             few = _some(len(angles), _FRAMES)
@@ -368,12 +381,12 @@ class ArrayFile:
                 order: _distance(_in_motor_order(angles[few], joints), found, base)
                 for order, joints in names.items()
             }
-            best, other = sorted(names, key=lambda order: near[order])
+            best, other, *_ = sorted(names, key=lambda order: near[order])
             # The pelvis alone is equally near in both orders.
             if near[best][0] < min(_NEAR, _NEARER * near[other][0]):
                 return _Order(
                     names[best],
-                    f"{best}{without}: bodies are {near[best][0]:.1f} mm from the links of "
+                    f"{told[best]}: bodies are {near[best][0]:.1f} mm from the links of "
                     f"{near[best][1]}, in {other} order {near[other][0]:.0f} mm",
                 )
         few = _some(len(angles), _MANY_FRAMES)
@@ -381,21 +394,34 @@ class ArrayFile:
             order: _share_beyond_limits(_in_motor_order(angles[few], joints))
             for order, joints in names.items()
         }
-        best, other = sorted(names, key=lambda order: beyond[order])
-        if beyond[other] > max(_BEYOND, _TIMES * beyond[best]):
-            return _Order(
-                names[best],
-                f"{best}{without}: {beyond[best]:.2%} of the angles are beyond the joint limits, "
-                f"in {other} order {beyond[other]:.2%}",
-                by_limits=best != "motor",
-            )
-        if self._first_line:
-            return _Order(names["motor"], f"motor{without}", assumed=True)
-        shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
-        raise self._error(
-            f"the joint order is ambiguous: {shares} are beyond the joint limits",
-            "Give --joint-order motor (as in LowCmd, the URDF and MuJoCo) or --joint-order "
-            "isaaclab.",
+        robot = self._file.robot
+        own = robot and tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(robot.present))
+        ranked = sorted(names, key=lambda order: (beyond[order], names[order] != own))
+        best = ranked[0]
+        fits = [
+            order
+            for order in ranked
+            if beyond[order]
+            <= max(_BEYOND if "isaaclab" in (best, order) else _ARMS, _TIMES * beyond[best])
+        ]
+        assumed = len(fits) > 1
+        if assumed and "isaaclab" in fits:
+            if not self._first_line:
+                shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
+                raise self._error(
+                    f"the joint order is ambiguous: {shares} are beyond the joint limits",
+                    f"Give --joint-order {' or '.join(names)}; motor order is that of LowCmd, the "
+                    "URDF and MuJoCo.",
+                )
+            fits.remove("isaaclab")
+        chosen, *rivals = fits
+        other = next(order for order in (*rivals, *ranked) if order != chosen)
+        return _Order(
+            names[chosen],
+            f"{told[chosen]}: {beyond[chosen]:.2%} of the angles are beyond the joint limits, in "
+            f"{other} order {beyond[other]:.2%}",
+            other if rivals or chosen != "motor" else "",
+            assumed,
         )
 
     @cached_property
@@ -456,7 +482,8 @@ class ArrayFile:
             and _lean(orders[other][few]) < _UPRIGHT
         ):
             usual, why = other, ", because the pelvis would lie otherwise"
-        return _Root(pos, orders[usual], f"{source}, {usual}{why}")
+        assumed = name == "table" and not why  # a CSV without a header
+        return _Root(pos, orders[usual], f"{source}, {usual}{why}", assumed)
 
     def _bodies(self, name: str, width: int) -> NDArray[Any]:
         """(T, B, width) in the file's own type, because it has most of the file's numbers."""
@@ -662,9 +689,11 @@ def _unit_columns(pose: NDArray[Any]) -> list[int]:
 
 @cache
 def names_in_order(order: JointOrder) -> tuple[str, ...]:
-    """The names of the 29 joints in an order. Isaac Lab's is breadth first."""
+    """The names of the 29 joints in an order, or of 23. Isaac Lab's is breadth first."""
     if order == "motor":
         return JOINT_NAMES
+    if order == "motor-23dof":
+        return tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(_G1_23DOF.present))
     robot = G1.default()
     link_of = {int(joint): link for link, joint in enumerate(robot.joint_of_link) if joint >= 0}
     moving = [0] * len(robot.link_names)  # number of joints from the pelvis to a link
@@ -672,6 +701,23 @@ def names_in_order(order: JointOrder) -> tuple[str, ...]:
         moving[link] = moving[robot.parent[link]] + int(robot.joint_of_link[link] >= 0)
     ranked = sorted(range(N_JOINTS), key=lambda joint: (moving[link_of[joint]], joint))
     return tuple(JOINT_NAMES[joint] for joint in ranked)
+
+
+def _layouts(n_joints: int) -> dict[JointOrder, tuple[str, ...]]:
+    """The joint in each of 29 or 23 columns without names, in the orders that they may have."""
+    orders = {order: names_in_order(order) for order in get_args(JointOrder)}
+    if n_joints < N_JOINTS:
+        without = {o: tuple(name for name in orders[o] if name not in _WRISTS) for o in orders}
+        return without | {"motor-23dof": orders["motor-23dof"]}
+    return {order: names for order, names in orders.items() if len(names) == n_joints}
+
+
+def _set_of(names: tuple[str, ...]) -> str:
+    """Which of the joints these are, for messages; "" for all."""
+    if len(names) == N_JOINTS:
+        return ""
+    wristless = not set(_WRISTS).intersection(names)
+    return ", without the six wrists" if wristless else f", the joints of {_G1_23DOF.name}"
 
 
 def _in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:

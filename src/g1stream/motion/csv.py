@@ -31,6 +31,7 @@ __all__ = ["Table", "read_csv"]
 _FRAME: Final = ROOT_COLUMNS[0]
 _POSITION: Final = ROOT_COLUMNS[1:4]
 _QUAT_XYZW: Final = ROOT_COLUMNS[4:]
+_QUAT_WXYZ: Final = (_QUAT_XYZW[-1], *_QUAT_XYZW[:-1])
 #: Names of the root's columns in other tools.
 _OTHER_NAMES: Final = {
     prefix + axis.lower()[-1]: axis
@@ -59,8 +60,9 @@ class Table(NamedTuple):
 
     Attributes:
         about: description for messages.
-        arrays: `joint_pos`, `joint_names`, `root_pos`, `root_quat_xyzw`, and each other column by
-            its name; without a header only `table`, (T, N).
+        arrays: `joint_pos`, `joint_names`, `root_pos`, `root_quat_xyzw` (`root_quat_wxyz` if W is
+            before X in the file), and each other column by its name; without a header only
+            `table`, (T, N).
         first_line: line of frame 0, from 1.
     """
 
@@ -127,7 +129,9 @@ class _Reader:
         arrays: dict[str, Any] = {"joint_names": [n for n in self._columns if n in _JOINTS]}
         parts = {"joint_pos": arrays["joint_names"]}
         if _QUAT_XYZW[0] in numbered:
-            parts |= {"root_pos": _POSITION, "root_quat_xyzw": _QUAT_XYZW}
+            w_first = numbered[_QUAT_WXYZ[0]] < numbered[_QUAT_WXYZ[1]]
+            quat = {"root_quat_wxyz": _QUAT_WXYZ} if w_first else {"root_quat_xyzw": _QUAT_XYZW}
+            parts |= {"root_pos": _POSITION, **quat}
         for key, names in parts.items():
             arrays[key] = _take(values, [numbered[name] for name in names])
         if _FRAME in numbered:

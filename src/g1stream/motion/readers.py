@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from g1stream.errors import MotionError
 from g1stream.files import begins_with, is_session, read_file
 from g1stream.input_limits import CSV_LINE, MOTION_FILE
-from g1stream.motion.motion import Motion, check_fps
+from g1stream.motion.motion import DEFAULT_FPS, Motion, check_fps
 from g1stream.optional import EXTENSIONS, load_object
 
 if TYPE_CHECKING:
@@ -61,6 +61,11 @@ class Evidence:
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+
+    @property
+    def assumptions(self) -> dict[str, str]:
+        """By subject: what is assumed, as text for a user."""
+        return {subject: f"{text}, assumed" for subject, text in self.assumed.items()}
 
 
 class MotionReader(Protocol):
@@ -240,6 +245,7 @@ def find_motion(
     path, member = Path(path_or_name), None
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
+        fps = DEFAULT_FPS if fps is None else fps  # known, not assumed
     text = str(path)
     with suppress(OSError):  # for example, the name is too long
         for at in (i for i, character in enumerate(text) if character == ":"):
@@ -265,8 +271,10 @@ def load_motion(
         fps: frames per second. If None, the file's, or 30 if it has none (a CSV never has one).
             A session is sampled at this rate, by default the rate of its reference.
         joint_order: joint order if the file does not name joints. If None, bodies and joint limits
-            decide; if both orders fit, a CSV file is in motor order.
-        robot: robot that plays it. No warning names joints that both the file and it lack.
+            decide; if both orders fit, a CSV file is in motor order. `motor-23dof` is for columns
+            of the joints of g1_23dof.
+        robot: robot that plays it. No warning names joints that both the file and it lack. If 23
+            columns fit its joints as well as others, they are its joints.
 
     Returns:
         The motion, with its joints in motor order and unit quaternions. `Motion.warnings` lists

@@ -42,7 +42,7 @@ def test_a_pattern_that_matches_no_joint_is_named_with_close_matches(table, patt
         resolve_gains(GainsConfig(**{table: {pattern: 1.0}}))
     assert repr(pattern) in caught.value.cause
     assert table in caught.value.cause
-    assert "left_knee_joint" in caught.value.remedy
+    assert "left_knee" in caught.value.remedy
 
 
 def test_joints_that_are_free_have_their_damping_only():

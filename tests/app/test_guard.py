@@ -29,7 +29,10 @@ from g1stream.errors import ConfigError, SafetyError
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
 DAMP = 1.0  # stream.damp
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard needs Linux")
+pytestmark = [
+    pytest.mark.alone,  # a stream that lacks its CPU ends for that reason
+    pytest.mark.skipif(sys.platform != "linux", reason="the guard needs Linux"),
+]
 
 
 @pytest.fixture

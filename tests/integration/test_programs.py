@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
     from g1stream.control.loop import StreamLoop
 
+#: Beside another simulator a slow machine skips ticks, and a robot on its feet falls.
+pytestmark = pytest.mark.alone
+
 RAMP = 0.5
 PLAY = 2.0
 PLAYING = "RAMP -> PLAY"
@@ -90,7 +93,6 @@ def test_a_motion_is_played_and_recorded(played):
     assert summary["recorder"]["lost"]["/reference"] == 0
 
 
-@pytest.mark.alone  # a robot on its feet falls where another test keeps the balance from its CPU
 def test_a_robot_stands_on_its_feet_and_squats_at_the_end(running, tmp_path, domain_id):
     """Where the demo lifts its right foot, at 8.6 s."""
     pytest.importorskip("daqp")
@@ -235,7 +237,6 @@ def recorder_of(stream: subprocess.Popen[str]) -> int:
     pytest.fail("no recorder")
 
 
-@pytest.mark.alone  # beside another simulator a slow machine notices it only after the motion
 @pytest.mark.parametrize(
     ("fault", "why"),
     [

@@ -280,8 +280,7 @@ def output_errors(path: Path) -> Iterator[None]:
         ) from error
     except FileExistsError as error:
         raise RecordingError(
-            f"{path} exists already.",
-            "Choose another path, or replace it with --force.",
+            f"{path} exists already.", "Choose another path, or replace it with --force."
         ) from error
     except FileNotFoundError as error:
         if path.parent.is_dir():  # such as /proc, in which no files can be created

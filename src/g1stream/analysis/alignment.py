@@ -480,19 +480,17 @@ def _ends(
     after a playback the robot is elsewhere.
     """
     start, speed = place
-    inner = _errors(signal, trajectory, place, part)[:, joints]
-    if not len(inner):
-        return part
-    middle = np.median(inner, axis=0)
-    size = np.sqrt(np.square(inner - middle).mean(axis=1))
-    most = 2.0 * float(np.quantile(size, 0.9)) + 0.01
     wide = max(0.0, part[0] - speed), min(trajectory.duration, part[1] + speed)
-    span = start + np.asarray(wide) / speed
-    rows = slice(*np.searchsorted(signal.times, span))
-    at = speed * (signal.times[rows] - start)
-    size = np.sqrt(
-        np.square(_errors(signal, trajectory, place, wide)[:, joints] - middle).mean(axis=1)
+    rows, inner = (
+        slice(*np.searchsorted(signal.times, start + np.asarray(of) / speed)) for of in (wide, part)
     )
+    if inner.start == inner.stop:
+        return part
+    inside = slice(inner.start - rows.start, inner.stop - rows.start)
+    at = speed * (signal.times[rows] - start)
+    error = _errors(signal, trajectory, place, wide)[:, joints]
+    size = rms((error - np.median(error[inside], axis=0)).T)
+    most = 2.0 * float(np.quantile(size[inside], 0.9)) + 0.01
     # An error may be large for a moment within the playback, so a sum decides. One sample counts
     # against the playback at most as much as three without an error count for it.
     total = np.cumsum(1.0 - np.minimum(np.square(size / most), 4.0))

@@ -137,7 +137,7 @@ def summarise(session: Recording) -> Summary:
         absent=info.absent,
         files_bytes={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
-        selected=session.selected or bool(session.metadata.get("selected")),
+        selected=bool(session.metadata.get("selected")),
         first_ns=min((int(one.min()) for one in logged), default=None),
         last_ns=max((int(one.max()) for one in logged), default=None),
         simulated=simulated,

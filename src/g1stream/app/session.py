@@ -227,7 +227,7 @@ class Session(Recording):
             newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
             messages.append([(newest._replace(log_time=start), topic)])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
-            writer.add_metadata(self.metadata | ({"selected": True} if self.selected else {}))
+            writer.add_metadata(self.metadata)
             for name, data in self.attachments.items():
                 media_type = guess_type(name)[0] or "application/octet-stream"
                 writer.attach(name, media_type, data, self.start_ns)

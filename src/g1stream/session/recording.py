@@ -434,7 +434,7 @@ class Recording:
         """The part of the session in a phase, in a time range, or in both.
 
         Streams, times, messages and the log are restricted to it, by publish time; `topics`,
-        metadata and attachments are those of the whole session.
+        attachments and metadata are those of the whole session, with `selected` in the latter.
 
         Args:
             phase: name of a phase, such as `"PLAY"`.
@@ -453,6 +453,7 @@ class Recording:
             ranges = [(max(a, first), min(b, end)) for a, b in ranges]
         part = type(self)(self.source)
         part._whole, part._ranges = self, ranges
+        part.metadata = {**self.metadata, "selected": True}  # also in a file that is made of it
         return part
 
     def _phase_ranges(self, phase: str | Phase) -> list[tuple[float, float]]:

@@ -367,8 +367,7 @@ def _write(
 ) -> None:
     """Write the session with the simulated joints."""
     source = MemorySource(str(session.path))
-    about = {"selected": True} if session.selected else {}
-    source.add_metadata({**session.metadata, **about, "gap": found.model_dump(mode="json")})
+    source.add_metadata({**session.metadata, "gap": found.model_dump(mode="json")})
     for name, data in session.attachments.items():
         source.attach(name, "", data, session.start_ns)
     for topic in session.topics:

@@ -216,8 +216,9 @@ class _Signal:
         self.grid = np.arange(times[0], times[-1], 1.0 / _RATE)
         # The mean over each step, which has less noise than the sample at it.
         edges = np.append(self.grid, self.grid[-1] + 1.0 / _RATE) - 0.5 / _RATE
-        steps = 0.5 * (q[1:] + q[:-1]) * np.diff(times)[:, np.newaxis]
-        total = np.vstack([np.zeros(q.shape[1]), np.cumsum(steps, axis=0)])
+        total = np.zeros(q.shape)
+        np.multiply(q[1:] + q[:-1], 0.5 * np.diff(times)[:, np.newaxis], out=total[1:])
+        np.cumsum(total, axis=0, out=total)
         self.dq = _velocities(_RATE * np.diff(_extended(edges, times, total, q), axis=0))
         after = np.searchsorted(times, self.grid).clip(1, len(times) - 1)
         gap = times[after] - times[after - 1]

@@ -34,7 +34,7 @@ from g1stream.text import counted
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -83,7 +83,7 @@ class Found(NamedTuple):
 
 
 def find_motion(
-    recorded: Sequence[Recorded], trajectory: Trajectory, *, any_speed: bool = True
+    recorded: Iterable[Recorded], trajectory: Trajectory, *, any_speed: bool = True
 ) -> Found | None:
     """Find a motion in the most informative source; None if no source can show it.
 
@@ -105,10 +105,12 @@ def find_motion(
             times = (published[rows] - zero) / 1e9
             plays = find_plays(times, q[rows], trajectory, any_speed=any_speed)
             found.append(Found(by, zero, plays))
+            if found[0].distance < _EXACT:
+                return found[0]
     if not found:
         return None
     first, last = found[0], found[-1]
-    if first.distance < max(_NEARER * last.distance, _EXACT):
+    if first.distance < _NEARER * last.distance:
         return first
     return min(found, key=lambda one: one.distance)
 
@@ -138,7 +140,7 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
             "Use it without a motion, or give a session without a reference.",
         )
     trajectory = Trajectory(motion)
-    found = find_motion(list(_recorded(session)), trajectory)
+    found = find_motion(_recorded(session), trajectory)
     if found is None:
         raise RecordingError(
             f"{session.path} has neither commands nor states to compare with a motion.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any, Final
 
@@ -245,12 +246,18 @@ def _own_time(tick: NDArray[np.uint32], published: Ints) -> Floats:
 
 def smoothed(values: Floats, rate: float, cutoff: float) -> Floats:
     """Low-pass filter values (N, K) at a rate, Hz, without phase; short ones are unchanged."""
-    sections = butter(2, min(cutoff, 0.4 * rate), fs=rate, output="sos")
+    sections = _low_pass(rate, min(cutoff, 0.4 * rate))
     pad = min(len(values) - 1, 3 * round(rate / cutoff))
     if pad < 1:
         return values
     found: Floats = sosfiltfilt(sections, values, axis=0, padlen=pad)
     return found
+
+
+@cache
+def _low_pass(rate: float, cutoff: float) -> Floats:
+    sections: Floats = butter(2, cutoff, fs=rate, output="sos")
+    return sections
 
 
 def noise_of(values: Floats) -> Floats:

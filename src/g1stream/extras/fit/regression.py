@@ -149,31 +149,41 @@ class Regression:
         Equations of a joint are weighted by the variance of their residuals. The covariance is that
         of blocks of a second (H. White 1980, by clusters).
         """
-        parts = [part for one in movements for part in self._equations(one)]
-        n = 3 * N_JOINTS + len(self.added) + 1
+        blocks = [block for one in movements for block in self._blocks(one)]
+        products = np.stack([block.products for block in blocks])
+        of_joint, rows = products.sum(axis=0), np.sum([block.rows for block in blocks], axis=0)
+        shared = slice(3 * N_JOINTS, 3 * N_JOINTS + len(self.added) + 1)
+        own = np.arange(3 * N_JOINTS).reshape(3, N_JOINTS).T
         of_links = (_PRIOR_MASS if kind == "mass" else _PRIOR_COM for kind, _ in self.added)
-        shared = np.array([*of_links, _PRIOR_LAG])
-        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(shared))])
-        loose = np.concatenate([_PRIOR * prior[: 3 * N_JOINTS], shared])
-        variance = np.ones(N_JOINTS)
-        values = prior
+        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(self.added) + 1)])
+        loose = np.concatenate([_PRIOR * prior[: shared.start], [*of_links, _PRIOR_LAG]])
+        regular = np.diag(1.0 / loose**2)
+        normals = np.zeros((len(blocks), shared.stop, shared.stop))
+        right = np.zeros((len(blocks), shared.stop))
+        variance, values = np.ones(N_JOINTS), prior
         for _ in range(3):
-            normals, products = np.zeros((len(parts), n, n)), np.zeros((len(parts), n))
-            for i, part in enumerate(parts):
-                normals[i], products[i] = part.normal(1.0 / variance)
-            regular = np.diag(1.0 / loose**2)
+            weighted = products / variance[:, np.newaxis, np.newaxis]
+            normals[:, own[:, :, np.newaxis], own[:, np.newaxis]] = weighted[:, :, :3, :3]
+            normals[:, own, shared] = weighted[:, :, :3, 3:-1]
+            normals[:, shared, own] = weighted[:, :, 3:-1, :3].transpose(0, 2, 1, 3)
+            normals[:, shared, shared] = weighted[:, :, 3:-1, 3:-1].sum(axis=1)
+            right[:, own], right[:, shared] = (
+                weighted[:, :, :3, -1],
+                weighted[:, :, 3:-1, -1].sum(axis=1),
+            )
             total = normals.sum(axis=0) + regular
-            values = np.linalg.solve(total, products.sum(axis=0) + regular @ prior)
-            left = np.stack([part.squares(values) for part in parts])
-            rows = np.stack([part.used.sum(axis=0) for part in parts])
-            variance = np.maximum(left.sum(axis=0) / np.maximum(1, rows.sum(axis=0)), 1e-6)
-        scores = products - normals @ values
+            values = np.linalg.solve(total, right.sum(axis=0) + regular @ prior)
+            residual = np.full((N_JOINTS, 1, products.shape[-1]), -1.0)
+            residual[:, 0, :3], residual[:, 0, 3:-1] = values[own], values[shared]
+            squares = (residual @ of_joint @ residual.transpose(0, 2, 1))[:, 0, 0]
+            variance = np.maximum(squares / np.maximum(1, rows), 1e-6)
+        scores = right - normals @ values
         inverse = np.linalg.inv(total)
-        few = len(parts) / max(1, len(parts) - 4)
+        few = len(blocks) / max(1, len(blocks) - 4)
         spread = few * scores.T @ scores + regular
-        return Estimate(values, inverse @ spread @ inverse, len(parts))
+        return Estimate(values, inverse @ spread @ inverse, len(blocks))
 
-    def _equations(self, movement: Movement) -> list[_Block]:
+    def _blocks(self, movement: Movement) -> list[_Block]:
         """The equations of a movement, block by block."""
         rate = 1.0 / movement.period
         step, margin = max(1, round(rate / _ROWS)), round(_MARGIN * rate)
@@ -198,14 +208,13 @@ class Regression:
             free = (q[kept] > self._lower + _STOP) & (q[kept] < self._upper - _STOP)
             used = told & free & (np.abs(dq[kept]) > _STILL)
             rising = np.gradient(tau, movement.period, axis=0)[kept]
-            whole = _Block(
-                tau[kept] - torque,
-                np.stack([dq[kept], dry[kept], ddq[kept]]),
-                np.concatenate([masses, -rising[np.newaxis]]),
-                used,
-            )
+            own = dq[kept], dry[kept], ddq[kept]
+            columns = np.stack([*own, *masses, -rising, tau[kept] - torque])
+            columns = np.where(used, columns, 0.0).transpose(2, 0, 1)
             n = max(1, round(len(kept) * step * movement.period / _BLOCK))
-            blocks += [whole.rows(rows) for rows in np.array_split(np.arange(len(kept)), n)]
+            for rows in np.array_split(np.arange(len(kept)), n):
+                some = columns[:, :, rows]
+                blocks.append(_Block(some @ some.transpose(0, 2, 1), used[rows].sum(axis=0)))
         return blocks
 
     def _inverse(
@@ -218,7 +227,7 @@ class Regression:
         """
         mujoco, data = self._mujoco, self._data
         found = np.zeros((len(self._models), len(q), N_JOINTS))
-        result, jacobian = np.empty(self._models[0].nv), np.zeros((3, self._models[0].nv))
+        jacobian = np.zeros((3, self._models[0].nv))
         quat = base[:, :4] / np.linalg.norm(base[:, :4], axis=1, keepdims=True)
         bolted = support == "bolted"
         acc = np.zeros((len(q), _BASE))
@@ -231,14 +240,16 @@ class Regression:
             )
             acc[:, :3] = quat_rotate(quat, base[:, 7:] - swing) - [0.0, 0.0, GRAVITY]
             acc[:, 3:] = turning
-        for number, model in enumerate(self._models):
-            for k in range(len(q)):
-                data.qpos[3:7] = quat[k]
-                data.qpos[self._places] = q[k, self._present]
-                data.qvel[3:_BASE] = rates[k]
-                data.qvel[self._dofs] = dq[k, self._present]
-                data.qacc[:_BASE] = acc[k]
-                data.qacc[self._dofs] = ddq[k, self._present]
+        torques = np.empty((len(self._models), self._models[0].nv))
+        for k in range(len(q)):
+            data.qpos[3:7] = quat[k]
+            data.qpos[self._places] = q[k, self._present]
+            data.qvel[3:_BASE] = rates[k]
+            data.qvel[self._dofs] = dq[k, self._present]
+            data.qacc[:_BASE] = acc[k]
+            data.qacc[self._dofs] = ddq[k, self._present]
+            for number, model in enumerate(self._models):
+                result = torques[number]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_comPos(model, data)
                 mujoco.mj_comVel(model, data)
@@ -247,47 +258,17 @@ class Regression:
                     centre = self._share @ data.xipos[self._carrier]
                     mujoco.mj_jac(model, data, jacobian, None, centre, self._carrier[0])
                     result -= result[:3] @ jacobian
-                found[number, k, self._present] = result[self._dofs]
+            found[:, k, self._present] = torques[:, self._dofs]
         return found[0], (found[1:] - found[0]) / self._steps
 
 
 class _Block(NamedTuple):
-    """R equations of each joint: y (R, 29) = own x (3, R, 29) + shared (L, R, 29) x parameters."""
+    """The equations of each joint within a second: y = own columns and shared columns x parameters.
 
-    y: Floats
-    x: Floats
-    shared: Floats
-    used: NDArray[np.bool_]  # (R, 29)
+    Attributes:
+        products: (29, 3 + L + 1, 3 + L + 1) products of the own columns, the shared ones, and y.
+        rows: (29,) number of equations.
+    """
 
-    def rows(self, rows: NDArray[np.intp]) -> _Block:
-        return _Block(self.y[rows], self.x[:, rows], self.shared[:, rows], self.used[rows])
-
-    def normal(self, weight: Floats) -> tuple[Floats, Floats]:
-        """The normal matrix (P, P) and right side (P,), with a weight (29,) for each joint."""
-        n_links = len(self.shared)
-        n = 3 * N_JOINTS + n_links
-        matrix, right = np.zeros((n, n)), np.zeros(n)
-        last = slice(3 * N_JOINTS, n)
-        for j in range(N_JOINTS):
-            used = self.used[:, j]
-            if not used.any():
-                continue
-            own = np.arange(3) * N_JOINTS + j
-            x, m = self.x[:, used, j], self.shared[:, used, j]
-            y = self.y[used, j]
-            matrix[np.ix_(own, own)] += weight[j] * (x @ x.T)
-            cross = weight[j] * (x @ m.T)
-            matrix[own, last] += cross
-            matrix[last, own] += cross.T
-            matrix[last, last] += weight[j] * (m @ m.T)
-            right[own] += weight[j] * (x @ y)
-            right[last] += weight[j] * (m @ y)
-        return matrix, right
-
-    def squares(self, values: Floats) -> Floats:
-        """(29,) sums of the squared residuals."""
-        own, masses = values[: 3 * N_JOINTS].reshape(3, N_JOINTS), values[3 * N_JOINTS :]
-        left = self.y - (self.x * own[:, np.newaxis]).sum(axis=0)
-        left -= np.tensordot(masses, self.shared, axes=1)
-        total: Floats = (np.where(self.used, left, 0.0) ** 2).sum(axis=0)
-        return total
+    products: Floats
+    rows: NDArray[np.intp]

@@ -1,6 +1,6 @@
 """How often `fit` finds hidden parameters, and how much of the gap it closes.
 
-    python benchmarks/fit.py [--fits 20] [--support bolted] [--seconds 40] [--first 0] [--json]
+    python benchmarks/fit.py [--fits 20] [--support bolted] [--seconds 40] [--first 0] [--jobs 1]
 
 Each fit has a simulated robot with hidden parameters: viscous and dry friction of every joint 0.5
 to 3 times the default, armature 0.5 to 2 times, commands 2 to 12 ms late, and 1 kg on the torso.
@@ -15,8 +15,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any
 from unittest.mock import patch
@@ -96,33 +99,39 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first seed")
     parser.add_argument("--support", default="bolted", choices=("bolted", "hanging"))
     parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--jobs", type=int, default=1, help="fits at the same time")
     parser.add_argument("--json", action="store_true")
     flags = parser.parse_args()
     inside: dict[str, list[bool]] = {}
     told: dict[str, list[bool]] = {}
     errors: dict[str, list[float]] = {}
     reductions, spent, speeds = [], [], []
-    for seed in range(flags.first, flags.first + flags.fits):
-        fit, parameters, seconds, speed = run(seed, flags.support, flags.seconds)
-        for one in fit.values:
-            if one.kind == "torque_lag":  # the robot is sampled as the simulator is
-                continue
-            true = truth(parameters, one)
-            right = bool(one.low <= true <= one.high)
-            inside.setdefault(one.kind, []).append(right)
-            if one.told:
-                told.setdefault(one.kind, []).append(right)
-                errors.setdefault(one.kind, []).append(abs(one.value - true))
-        reductions.append(fit.reduction)
-        spent.append(seconds)
-        speeds.append(speed)
-        if not flags.json:
-            print(
-                f"seed {seed}: gap {1e3 * fit.gap_before_rad:.2f} -> "
-                f"{1e3 * fit.gap_after_rad:.2f} mrad, {100 * fit.reduction:.0f} % less, "
-                f"{seconds:.0f} s of CPU; simulate {speed:.1f} x real time",
-                flush=True,
-            )
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(flags.jobs, mp_context=spawn) as pool:
+        seeds = range(flags.first, flags.first + flags.fits)
+        measure = partial(run, support=flags.support, seconds=flags.seconds)
+        for seed, (fit, parameters, seconds, speed) in zip(
+            seeds, pool.map(measure, seeds), strict=True
+        ):
+            for one in fit.values:
+                if one.kind == "torque_lag":  # the robot is sampled as the simulator is
+                    continue
+                true = truth(parameters, one)
+                right = bool(one.low <= true <= one.high)
+                inside.setdefault(one.kind, []).append(right)
+                if one.told:
+                    told.setdefault(one.kind, []).append(right)
+                    errors.setdefault(one.kind, []).append(abs(one.value - true))
+            reductions.append(fit.reduction)
+            spent.append(seconds)
+            speeds.append(speed)
+            if not flags.json:
+                print(
+                    f"seed {seed}: gap {1e3 * fit.gap_before_rad:.2f} -> "
+                    f"{1e3 * fit.gap_after_rad:.2f} mrad, {100 * fit.reduction:.0f} % less, "
+                    f"{seconds:.0f} s of CPU; simulate {speed:.1f} x real time",
+                    flush=True,
+                )
     every, known = ([*chain(*by_kind.values())] for by_kind in (inside, told))
     figures = {
         "fits": flags.fits,

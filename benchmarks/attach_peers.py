@@ -78,7 +78,7 @@ def other(path: Path) -> list[Any]:
 @contextmanager
 def interrupted(command: list[Any]) -> Iterator[None]:
     """A program in the simulators' network; SIGINT ends it."""
-    with subprocess.Popen([PEERS / "ns", *command], stderr=subprocess.DEVNULL) as program:
+    with subprocess.Popen([PEERS / "ns", *map(str, command)], stderr=subprocess.DEVNULL) as program:
         try:
             yield
         finally:
@@ -90,8 +90,8 @@ def run_example(name: str, seconds: float, recorder: list[Any]) -> None:
     """The example in a simulator, recorded by a program."""
     with simulating(name, 0, []), interrupted(recorder):
         time.sleep(4.0)  # until it receives
-        example = [PEERS / "ns", PEERS / "sdk/bin/python", PEERS / "g1_example_sim.py", "lo"]
-        with subprocess.Popen(example, stdout=subprocess.DEVNULL) as program:
+        example = [PEERS / one for one in ("ns", "sdk/bin/python", "g1_example_sim.py")]
+        with subprocess.Popen([*example, "lo"], stdout=subprocess.DEVNULL) as program:
             time.sleep(seconds)
             program.kill()
 

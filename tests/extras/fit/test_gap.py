@@ -1,6 +1,7 @@
 """What differs between a simulated robot of known parameters and the default one."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,3 +188,22 @@ def test_windows_do_not_reach_over_a_gap(same):
     assert states[700].publish_time in starts
     assert states[599].publish_time in ends
     assert gap(g1stream.Session(source), support="bolted").q_rad < 1e-5
+
+
+def test_an_excerpt_has_whole_windows_of_all_parts(same):
+    recorded = Recorded.of(same)
+    assert recorded.excerpt(recorded.seconds, 0.2) is recorded
+    some = recorded.excerpt(recorded.seconds / 2.0, 0.2)
+    windows = some.windows(0.2)
+    assert 0.4 * recorded.seconds < some.seconds <= 0.51 * recorded.seconds
+    assert {part.stop - part.start for part in windows[:-1]} == {101}
+    assert some.time[0] == recorded.time[0]
+    assert some.time[-1] > recorded.time[-1] - 0.4
+
+
+def test_a_base_is_smoothed_within_its_parts(same):
+    recorded = Recorded.of(same)
+    turning = np.sin(5.0 * recorded.time)[:, np.newaxis] * np.ones(3)
+    turning = replace(recorded, gyroscope=turning)
+    some = turning.excerpt(recorded.seconds / 4.0, 0.2)
+    np.testing.assert_allclose(some.smooth_base()[1], some.gyroscope, atol=0.02)

@@ -190,12 +190,14 @@ def fit_parameters(
     else:
         other = hold_out if isinstance(hold_out, Session) else open_session(hold_out)
         fitted, judged = records, [Recorded.of(other)]
+    fitted = [one.excerpt(_MOST / len(fitted), _WINDOW) for one in fitted]
+    judged = [one.excerpt(_MOST_JUDGED / len(judged), _JUDGED) for one in judged]
     # The band's exact point of attack on a hanging robot's torso is unknown, and so is its mass.
     links = [link for link in LINKS if "hanging" not in held or link != "torso_link"]
     masses = [("mass", link) for link in links]
     regression = Regression(robot, masses)
     data = list(zip(fitted, held, strict=False))
-    measured = [_measured(one, how, _MOST / len(data)) for one, how in data]
+    measured = [_measured(one, how) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
         raise RecordingError(
             f"{fitted[0].name} has no torques: tau_est is 0 in every LowState.",
@@ -260,13 +262,13 @@ def _has_torque(recorded: Recorded) -> bool:
     return bool(recorded.tau.any())
 
 
-def _windows(recorded: Recorded, most: float) -> list[slice]:
+def _windows(recorded: Recorded) -> list[slice]:
     # The first state of a window is the last one of the previous window.
-    return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW, most)]
+    return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW)]
 
 
-def _measured(recorded: Recorded, support: Support, most: float) -> Movement:
-    windows = _windows(recorded, most)
+def _measured(recorded: Recorded, support: Support) -> Movement:
+    windows = _windows(recorded)
     base = _base(recorded)
     return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
 
@@ -280,11 +282,10 @@ class _Simulation:
     """Simulations of the sessions with some parameters, estimated like the measurements."""
 
     def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1) -> None:
-        most = _MOST / len(data)
         self._data = data
-        self._windows = [_windows(one, most) for one, _ in data]
+        self._windows = [_windows(one) for one, _ in data]
         self._runs = [
-            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False, most=most)
+            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False)
             for one, held in data
         ]
 
@@ -342,7 +343,7 @@ def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
         # Some states of a simulation are nan.
         use = known[:, np.newaxis] & (np.abs(asked) > 0.0) & np.isfinite(one.tau)
         x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
-        for rows in np.array_split(np.arange(len(x)), max(1, round(one.time[-1] - one.time[0]))):
+        for rows in np.array_split(np.arange(len(x)), max(1, round(one.seconds))):
             squares.append((x[rows] ** 2).sum(axis=0))
             products.append((x[rows] * y[rows]).sum(axis=0))
     square, product = np.stack(squares), np.stack(products)
@@ -427,7 +428,7 @@ def _fit(
         held_out="",
         robot=robot.name,
         support=support,
-        fitted_s=float(sum(one.time[-1] - one.time[0] for one in fitted)),
+        fitted_s=sum(one.seconds for one in fitted),
         values=found,
         gap_before_rad=0.0,
         gap_after_rad=0.0,
@@ -477,9 +478,7 @@ def _gap(records: Sequence[Recorded], support: str | None, robot: G1) -> float:
     squares = []
     for one in records:
         held = world_support(one, support)
-        simulated = simulate_commands(
-            one, robot, support=held, window=_JUDGED, most=_MOST_JUDGED / len(records)
-        )
+        simulated = simulate_commands(one, robot, support=held, window=_JUDGED)
         squares.append(compare(one, simulated, robot, _JUDGED).q_rad ** 2)
     return float(np.sqrt(np.mean(squares)))
 

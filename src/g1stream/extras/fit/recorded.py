@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -154,12 +153,11 @@ class Recorded:
 
     def _evened(self) -> Recorded:
         """The same, resampled evenly between gaps: positions by cubics, the rest linearly."""
-        ends = [0, *(np.flatnonzero(np.diff(self.time) > self.gap) + 1).tolist(), len(self.time)]
-        spans = [(self.time[a], self.time[b - 1]) for a, b in pairwise(ends) if b - a > 1]
+        times = [self.time[part] for part in self._continuous() if part.stop - part.start > 1]
         at = np.concatenate(
             [
-                first + self.period * np.arange(int((last - first) / self.period) + 1)
-                for first, last in spans
+                one[0] + self.period * np.arange(int((one[-1] - one[0]) / self.period) + 1)
+                for one in times
             ]
         )
         changed: Any = {
@@ -173,32 +171,41 @@ class Recorded:
         changed["published"] = first + np.interp(at, self.time, self.published - first).astype(int)
         return replace(self, time=at, **changed)
 
-    def part(self, rows: slice) -> Recorded:
+    def part(self, rows: slice | Ints) -> Recorded:
         """Some of the states, with all commands."""
         of_states: Any = {
             name: values[rows] for name in _OF_STATES if (values := getattr(self, name)) is not None
         }
         return replace(self, **of_states)
 
-    def windows(self, length: float, most: float = np.inf) -> list[slice]:
-        """Parts of at most `length` s without gaps; the last state of one is the first of the next.
+    @property
+    def seconds(self) -> float:
+        """Time in which there are states, s."""
+        return len(self.time) * self.period
 
-        If they are longer than `most` s in total, evenly spread ones up to this time.
-        """
-        every = list(self._windows(length))
-        total = sum(part.stop - part.start for part in every) * self.period
-        n = max(1, int(len(every) * min(1.0, most / total)))
-        return [every[i] for i in np.unique(np.linspace(0, len(every) - 1, n).astype(int))]
+    def excerpt(self, most: float, length: float) -> Recorded:
+        """At most `most` s of it: windows of `length` s, evenly spread."""
+        if self.seconds <= most:
+            return self
+        windows = self.windows(length)
+        n = max(1, int(len(windows) * most / self.seconds))
+        chosen = np.linspace(0, len(windows) - 1, n).astype(int)
+        rows = [np.arange(windows[i].start, windows[i].stop) for i in chosen]
+        return self.part(np.unique(np.concatenate(rows)))
 
-    def _windows(self, length: float) -> Iterator[slice]:
-        n, start = max(1, round(length / self.period)), 0
+    def windows(self, length: float) -> list[slice]:
+        """Parts of at most `length` s without gaps; each ends with the first state of the next."""
+        n = max(1, round(length / self.period))
+        return [
+            slice(start, min(start + n + 1, part.stop))
+            for part in self._continuous()
+            for start in range(part.start, part.stop - 1, n)
+        ]
+
+    def _continuous(self) -> list[slice]:
+        """The parts between gaps."""
         gaps = np.flatnonzero(np.diff(self.time) > self.gap) + 1
-        for end in (*gaps.tolist(), len(self.time)):
-            while end - start > 1:
-                stop = min(start + n + 1, end)
-                yield slice(start, stop)
-                start = stop - 1
-            start = end
+        return [slice(a, b) for a, b in pairwise([0, *gaps.tolist(), len(self.time)])]
 
     def in_force(self, delay: float) -> Ints:
         """(N,) index of the command in force from each LowState to the next one; -1 for none.
@@ -213,9 +220,14 @@ class Recorded:
 
     def smooth_base(self) -> tuple[Floats, Floats]:
         """Attitude (N, 4) and angular velocity (N, 3), pelvis frame, without their noise."""
-        rate = 1.0 / self.period
-        quat = quat_normalize(smoothed(self.quat_wxyz, rate, _BASE_CUTOFF))
-        return quat, smoothed(self.gyroscope, rate, _BASE_CUTOFF)
+        parts = self._continuous()
+        quat, gyroscope = (
+            np.concatenate(
+                [smoothed(values[part], 1.0 / self.period, _BASE_CUTOFF) for part in parts]
+            )
+            for values in (self.quat_wxyz, self.gyroscope)
+        )
+        return quat_normalize(quat), gyroscope
 
 
 def _at(

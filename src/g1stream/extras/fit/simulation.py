@@ -90,7 +90,6 @@ def simulate_commands(
     window: float = 1.0,
     self_collision: bool = True,
     repeats: bool = True,
-    most: float = np.inf,
 ) -> Simulated:
     """Simulate the robot under the recorded commands.
 
@@ -104,7 +103,6 @@ def simulate_commands(
         window: length of a window, s.
         self_collision: links collide with each other.
         repeats: simulate some windows twice, for `Simulated.spread`.
-        most: longest simulated time, s; windows are evenly spread over the recording.
 
     Raises:
         SimError: the state can no longer be integrated.
@@ -114,7 +112,7 @@ def simulate_commands(
     noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
     values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
     base = np.full((len(recorded.time), 10), np.nan)
-    windows = tuple(recorded.windows(window, most))
+    windows = tuple(recorded.windows(window))
     rng, squares, n = np.random.default_rng(0), np.zeros((3, N_JOINTS)), 0
     every = max(1, min(_ONE_IN, len(windows) // _REPEATED))
     for number, part in enumerate(windows):

@@ -61,6 +61,9 @@ def played(motion: Any, parameters: Parameters, support: Any, seed: int) -> Any:
             "sim.noise": 1.0,
             "sim.seed": seed,
             "stream.feedforward": "dynamics",
+            "stream.ramp": 1.0,
+            "stream.hold": 0.0,
+            "stream.damp": 0.5,
         }
     )
     with patch("g1stream.app.rollout.make_world", other_world):

@@ -81,6 +81,51 @@ def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(policy):
     assert (contract.reference, contract.anchor) == ("none", None)
 
 
+def test_histories_of_the_three_formats(policy):
+    path = policy({"observation_history_lengths": "0,1,3,3,1,2.0"}, width=247)
+    contract = contract_of(path)
+    assert [term.history for term in contract.terms] == [1, 1, 3, 3, 1, 2]
+    assert [term.size for term in contract.terms] == [58, 6, 9, 87, 29, 58]
+    assert contract.history_start == "first step"
+    path.with_suffix(".toml").write_text(
+        'history_start = "zeros"\n[[terms]]\nname = "base_ang_vel"\nhistory = 82\n'
+        '[[terms]]\nname = "command_ang_vel"\n'
+    )
+    contract = contract_of(path)
+    assert [term.history for term in contract.terms] == [82, 1]
+    assert contract.history_start == "zeros"
+    for wrong in ("0", "true", "1.5", "1000", '"2"'):
+        path.with_suffix(".toml").write_text(
+            f'[[terms]]\nname = "base_ang_vel"\nhistory = {wrong}\n'
+        )
+        with pytest.raises(ConfigError):
+            contract_of(path)
+
+
+def test_limits_of_a_single_term_are_refused(policy):
+    path = policy("all", width=3)
+    del (model := onnx.load(path)).metadata_props[:]
+    onnx.save(model, path)
+    terms = {"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}}
+    path.with_name("deploy.yaml").write_text(
+        json.dumps(
+            {
+                "joint_ids_map": [*range(29)],
+                "step_dt": 0.02,
+                "stiffness": [40.0] * 29,
+                "damping": [1.0] * 29,
+                "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.0] * 29}},
+                "observations": terms,
+            }
+        )
+    )
+    with pytest.raises(ConfigError) as raised:
+        contract_of(path)
+    assert "base_ang_vel" in raised.value.cause
+    path.with_suffix(".toml").write_text('[[terms]]\nname = "base_ang_vel"\nscale = 0.2\n')
+    assert contract_of(path).terms[0].scale == [0.2]
+
+
 HOLOSOMA = {
     "dof_names": json.dumps(list(JOINT_NAMES)),
     "kp": json.dumps([40.0] * 29),
@@ -90,7 +135,10 @@ TRAINING = {
     "observation": {
         "clip_observations": 100.0,
         "groups": {
-            "actor_obs": {"terms": {"dof_vel": {"scale": 0.05}, "actions": {"scale": 1.0}}},
+            "actor_obs": {
+                "history_length": 2,
+                "terms": {"dof_vel": {"scale": 0.05}, "actions": {"scale": 1.0}},
+            },
         },
     },
     "robot": {
@@ -103,7 +151,7 @@ TRAINING = {
 
 
 def test_metadata_of_holosoma(policy):
-    path = policy("all", width=58)
+    path = policy("all", width=116)
     model = onnx.load(path)
     del model.metadata_props[:]
     told = HOLOSOMA | {"experiment_config": json.dumps(TRAINING)}
@@ -112,6 +160,8 @@ def test_metadata_of_holosoma(policy):
     contract = contract_of(path)
     assert [term.named for term in contract.terms] == ["actions", "dof_vel"]
     assert contract.terms[1].scale == [0.05]
+    assert [(term.size, term.history) for term in contract.terms] == [(58, 2)] * 2
+    assert contract.history_start == "zeros"
     assert contract.action_scale == [0.25 * 80.0 / 40.0] * 29
     assert (contract.rate, contract.clip) == (50.0, 100.0)
     assert contract.default_pos == [0.2] * 29
@@ -140,7 +190,13 @@ WRONG = {
     "no number": ({"action_scale": "nan"}, {}, "nan"),
     "an anchor of another robot": ({"anchor_body_name": "head"}, {}, "head"),
     "28 gains": ({"joint_stiffness": ",".join(["40"] * 28)}, {}, "28 values"),
-    "history": ({"observation_history_lengths": "5,1,1,1,1,1"}, {}, "history"),
+    "a history that the network does not have": (
+        {"observation_history_lengths": "5,1,1,1,1,1"},
+        {},
+        "motion 290",
+    ),
+    "a history that only the network has": ({}, {"width": 5 * 154}, "history = 5"),
+    "lengths of other terms": ({"observation_history_lengths": "5,1"}, {}, "metadata"),
     "a custom operator": ({}, {"domain": "my.own"}, "my.own"),
     "a width that is not known": ({}, {"width": "wide"}, "width"),
 }
@@ -265,7 +321,7 @@ def test_a_training_configuration_may_hold_anything(policy, data):
     name = data.draw(st.sampled_from(sorted(HOLOSOMA)))
     if data.draw(st.booleans()):
         told[name] = json.dumps(data.draw(ANYTHING))
-    path = policy("all", width=58)
+    path = policy("all", width=116)
     model = onnx.load(path)
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, told)

@@ -122,6 +122,23 @@ def test_targets_are_of_the_contract(driven, policy):
     assert driven.source.gains.kd == pytest.approx(np.full(29, 2.0))
 
 
+@pytest.mark.parametrize(("start", "before"), [("first step", 1.0), ("zeros", 0.0)])
+def test_a_history_has_the_oldest_step_first(policy, target, start, before):
+    path = policy({"observation_history_lengths": "1,1,3,1,1,2"}, width=154 + 2 * 3 + 29)
+    path.with_suffix(".toml").write_text(f'history_start = "{start}"\n')
+    it = Driven(PolicyTargets(settings(path), ROBOT), target)
+    seen, acted = [], np.zeros(29)
+    for speed in (1.0, 2.0, 3.0, 4.0):
+        it.gyroscope = np.full(3, speed)
+        assert it.steps(10) == 1
+        told = it.source._told
+        assert told.n_observation[()] == 154 + 2 * 3 + 29
+        seen.append(told.observation[64:73].reshape(3, 3)[:, 0].tolist())
+        np.testing.assert_array_equal(told.observation[160:189], acted)
+        acted = told.action.copy()
+    assert seen == [[before, before, 1.0], [before, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
+
+
 def test_what_is_not_finite_is_repeated_twice(policy, target, tmp_path):
     """The square root of a negative sum."""
     model = onnx.load(policy())

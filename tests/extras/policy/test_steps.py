@@ -249,6 +249,25 @@ def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(fal
     assert not found.differing
 
 
+def test_observations_with_a_history_are_recomputed(place):
+    model = network_of(width=154 + 4 * 29)
+    some = np.random.default_rng(5).normal(0.0, 0.02, (154 + 4 * 29, 29)).astype(np.float32)
+    model.graph.initializer[0].CopyFrom(numpy_helper.from_array(some, "weights"))
+    told = METADATA | {"observation_history_lengths": "1,1,1,1,5,1"}
+    helper.set_model_props(model, told)
+    onnx.save(model, path := place / "history.onnx")
+    session = g1stream.rollout("demo", policy=path, config=config(), seconds=1.0)
+    steps = session.policy
+    assert steps.observation[:, steps.terms["joint_vel_rel"]].shape[1] == 5 * 29
+    replayed = replay_policy(session)
+    assert (replayed.rebuilt, replayed.same) == (len(steps), True)
+    later = session.sel(time=slice(float(steps.time[10]) - 0.001, None))
+    assert replay_policy(later).rebuilt == 0  # what is before the part is unknown
+    figures = policy_steps(session).terms["joint_vel_rel"]
+    newest = steps.observation[:, steps.terms["joint_vel_rel"]][:, -29:]
+    assert figures.std == pytest.approx(float(newest.astype(np.float64).std()))
+
+
 def test_the_command_replays(falling, place, capsys):
     assert main(["policy", "--replay", str(falling.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

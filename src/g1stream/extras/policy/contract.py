@@ -42,11 +42,16 @@ _LINES: Final = {
     "action_scale": 'action_scale = { "*" = 0.25 }',
     "kp": 'kp = { "*_knee_joint" = 99.1, ... }',
     "kd": 'kd = { "*_knee_joint" = 6.3, ... }',
-    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 if it is not 1',
+    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 or history = 5 if not 1',
     "anchor": 'anchor = "torso_link"',
 }
-#: Facts with a default: no limit, and no lag.
-_OPTIONAL: Final = ("clip", "lag")
+#: Facts with a default: no limit, no lag, and a history that begins with the first step.
+_OPTIONAL: Final = ("clip", "lag", "history_start")
+_HISTORY_STARTS: Final = ("first step", "zeros")
+#: Keys of a term in a TOML file.
+_TERM_KEYS: Final = ("name", "scale", "history")
+#: Most steps in the history of a term.
+_MOST_STEPS: Final = 100
 
 
 class Term(Record, frozen=True):
@@ -55,14 +60,16 @@ class Term(Record, frozen=True):
     Attributes:
         name: name in `TERMS`.
         named: name in the file.
-        size: number of values.
-        scale: factor for all values, or one for each value.
+        size: number of values, of all steps.
+        history: number of steps, the oldest first.
+        scale: factor for all values, or one for each value of a step.
         formula: formula in words, including the frame.
     """
 
     name: str
     named: str
     size: int
+    history: int = 1
     scale: list[float]
     formula: str
 
@@ -81,6 +88,7 @@ class PolicyContract(Record, frozen=True):
         anchor: link whose attitude is compared with the reference's; None if no term needs it.
         reference: source of the tracked motion: the network itself, a given motion, or none.
         lag: number of steps by which the observed reference is behind the current one.
+        history_start: what stands in a history for the steps before the first one.
         origin: source of each field.
     """
 
@@ -96,7 +104,13 @@ class PolicyContract(Record, frozen=True):
     anchor: str | None
     reference: Literal["in the policy", "a motion", "none"]
     lag: int
+    history_start: Literal["first step", "zeros"] = "first step"
     origin: dict[str, str]
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an observation has values of earlier steps, besides the last action."""
+        return self.lag > 0 or any(term.history > 1 for term in self.terms)
 
     @property
     def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -125,13 +139,17 @@ class PolicyContract(Record, frozen=True):
             "anchor": self.anchor or "",
             "observation": f"{counted(width, 'value')}"
             + (f", clipped to +-{self.clip:g}" if self.clip else ""),
+            "history": f"the oldest step first; before the first step {self.history_start}"
+            if any(term.history > 1 for term in self.terms)
+            else "",
         }
         lines = [labelled(f"{k:<{_LABEL}}", v) for k, v in facts.items() if v]
         rows = [["term", "size", "scale", "formula"]]
         for term in self.terms:
             low, high = min(term.scale), max(term.scale)
             scale = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-            rows.append([term.name, str(term.size), scale, term.formula])
+            size = f"{term.history} x " * (term.history > 1) + str(term.size // term.history)
+            rows.append([term.name, size, scale, term.formula])
         lines += ["", *table(rows, {0, 3})]
         rows = [["joint", "default", "scale", "kp", "kd"]]
         arrays = self.default_pos, self.action_scale, self.kp, self.kd
@@ -177,7 +195,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
             if value is not None and name not in values:
                 values[name], origin[name] = value, facts.where
     where = f"the policy {path}"
-    terms = [_term(named, scale, where) for named, scale in values.get("terms", [])]
+    terms = [_term(one, where) for one in values.get("terms", [])]
     uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
     needed = [name for name in _LINES if name != "anchor" or uses_anchor]
     missing = [name for name in needed if name not in values]
@@ -205,6 +223,9 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     clip, lag = (_number(values.get(name, 0), name, where) for name in ("clip", "lag"))
     if clip < 0.0 or lag not in range(10):
         raise _wrong("clip, lag", f"{clip:g}, {lag:g}", where, "at least 0, and 0 to 9")
+    history_start = values.get("history_start", _HISTORY_STARTS[0])
+    if history_start not in _HISTORY_STARTS:
+        raise _wrong("history_start", history_start, where, " or ".join(_HISTORY_STARTS))
     return PolicyContract(
         path=str(path),
         rate=rate,
@@ -214,6 +235,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         anchor=str(values["anchor"]) if uses_anchor else None,
         reference=("in the policy" if holds else "a motion") if tracks else "none",
         lag=int(lag) if tracks else 0,
+        history_start=history_start,
         origin={name: one for name, one in origin.items() if name != "anchor" or uses_anchor},
         **{name: value.tolist() for name, value in arrays.items()},
     )
@@ -264,9 +286,8 @@ def _of_toml(path: Path) -> dict[str, Any]:
             raise ConfigError(
                 f"In {path}, terms is not a list of tables.", f"Write {_LINES['terms']}."
             )
-        if extra := sorted({key for term in terms for key in term} - {"name", "scale"}):
+        if extra := sorted({key for term in terms for key in term} - set(_TERM_KEYS)):
             raise ConfigError(f"A term in {path} has {listed(extra)}.", f"Write {_LINES['terms']}.")
-        values["terms"] = [(str(t.get("name", "")), t.get("scale", 1.0)) for t in terms]
     return values
 
 
@@ -279,15 +300,19 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
     commands = split("command_names") or ["motion"]
     names = split("observation_names") or []
     lengths = split("observation_history_lengths") or ["1"] * len(names)
-    if any(float(length) > 1.0 for length in lengths):
-        raise _history("the metadata of the ONNX file")
     return {
         "joint_names": split("joint_names"),
         "default_pos": split("default_joint_pos"),
         "action_scale": split("action_scale"),
         "kp": split("joint_stiffness"),
         "kd": split("joint_damping"),
-        "terms": [(commands[0] if one == "command" else one, 1.0) for one in names],
+        "terms": [
+            {
+                "name": commands[0] if name == "command" else name,
+                "history": max(1, int(float(length))),
+            }
+            for name, length in zip(names, lengths, strict=True)
+        ],
         "anchor": metadata.get("anchor_body_name") or None,
     }
 
@@ -306,11 +331,13 @@ def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
     group = _at(config, "observation", "groups", "actor_obs")
     terms = _at(group, "terms")
     if isinstance(terms, dict):
-        if (_at(group, "history_length") or 1) > 1:
-            raise _history("the training configuration in the ONNX file")
-        facts["terms"] = [(name, _scale(terms[name])) for name in sorted(terms)]
+        history = _at(group, "history_length") or 1
+        facts["terms"] = [
+            {"name": name, "scale": _scale(terms[name]), "history": history}
+            for name in sorted(terms)
+        ]
     # Its runner reads the reference of the next step after the observation.
-    facts["lag"] = 1
+    facts |= {"lag": 1, "history_start": "zeros"}
     facts["clip"] = _at(config, "observation", "clip_observations")
     facts["default_pos"] = _at(config, "robot", "init_state", "default_joint_angles")
     scale = _at(config, "robot", "control", "action_scale")
@@ -347,9 +374,11 @@ def _of_deploy(path: Path) -> dict[str, Any]:
     motors = _at(values, "joint_ids_map")
     terms = None
     if isinstance(observations, dict):
-        if any((_at(one, "history_length") or 1) > 1 for one in observations.values()):
-            raise _history(str(path))
-        terms = [(name, _scale(one)) for name, one in observations.items()]
+        terms = [
+            {"name": name, "scale": _scale(one), "history": _at(one, "history_length") or 1}
+            | ({"clip": limits} if (limits := _at(one, "clip")) else {})
+            for name, one in observations.items()
+        ]
     known = isinstance(motors, list) and all(
         isinstance(motor, int) and 0 <= motor < N_JOINTS for motor in motors
     )
@@ -387,21 +416,21 @@ def _scale(term: Any) -> Any:
     return 1.0 if scale is None else scale
 
 
-def _history(where: str) -> ConfigError:
-    return ConfigError(
-        f"According to {where}, the policy observes several steps at once, which is not supported.",
-        "Give a policy with a history length of 1.",
-    )
-
-
-def _term(named: str, scale: Any, where: str) -> Term:
+def _term(given: Mapping[str, Any], where: str) -> Term:
+    named = str(given.get("name", ""))
     name = ALIASES.get(named, named)
     if name not in TERMS:
         raise ConfigError(
             f"The observation of {where} has the unknown term {named!r}.",
             f"Known terms are {', '.join(TERMS)}.",
         )
+    if "clip" in given:
+        raise ConfigError(
+            f"In {where}, the term {named} has limits of its own, which are not supported.",
+            "Write the terms, and clip for the whole observation, to a TOML file beside it.",
+        )
     size, formula, _ = TERMS[name]
+    scale, history = given.get("scale", 1.0), given.get("history", 1)
     values = scale if isinstance(scale, list) else [scale]
     factors = [_number(value, f"scale of {named}", where) for value in values]
     if len(factors) not in (1, size):
@@ -410,7 +439,16 @@ def _term(named: str, scale: Any, where: str) -> Term:
             f"{counted(len(factors), 'scale')}.",
             "Give one scale, or a scale for each value.",
         )
-    return Term(name=name, named=named, size=size, scale=factors, formula=formula)
+    if not isinstance(history, int) or not 1 <= history <= _MOST_STEPS:
+        raise _wrong(f"history of {named}", history, where, f"1 to {_MOST_STEPS} steps")
+    return Term(
+        name=name,
+        named=named,
+        size=size * history,
+        history=history,
+        scale=factors,
+        formula=formula,
+    )
 
 
 def _number(value: Any, name: str, where: str) -> float:
@@ -503,8 +541,9 @@ def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
         return
     own = {term.name for term in terms}
     less = total < network.width
+    history = max((term.history for term in terms), default=1)
     candidates = [name for name in TERMS if (name not in own) == less]
-    size: Callable[[str], int] = lambda name: TERMS[name].size  # noqa: E731
+    size: Callable[[str], int] = lambda name: history * TERMS[name].size  # noqa: E731
     fitting = [
         " and ".join(some)
         for number in (1, 2)
@@ -512,6 +551,8 @@ def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
         if sum(map(size, some)) == abs(network.width - total)
     ]
     guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
+    if history == 1 and total and not network.width % total:
+        guess = f" With history = {network.width // total} in each term they are as wide."
     raise ConfigError(
         f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",

@@ -157,11 +157,11 @@ ALIASES: Final = {
 """Other names of the same terms, in whole_body_tracking and holosoma."""
 
 
-def observe(terms: Sequence[tuple[str, Floats | float]], inputs: Inputs) -> Floats:
-    """Compute the observation: the terms times their scales, concatenated.
+def observe(terms: Sequence[tuple[str, Floats | float]], inputs: Inputs) -> list[Floats]:
+    """Compute the terms of a step, times their scales.
 
     Args:
         terms: name in `TERMS`, and scale.
         inputs: the inputs of this step.
     """
-    return np.concatenate([scale * TERMS[name].value(inputs) for name, scale in terms])
+    return [scale * TERMS[name].value(inputs) for name, scale in terms]

@@ -265,8 +265,8 @@ def _observations(
         if not (known and follows):
             why = _LATER if known else _LACKS
             left_out[why] = left_out.get(why, 0) + 1
-            # Without a lag a step needs only the last action from the step before.
-            before = number if follows and number and not contract.lag else None
+            # Without earlier values a step needs only the last action from the step before.
+            before = number if follows and number and not contract.remembers else None
         else:
             values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
             state = state_of(contract, robot, *values, measured.gyroscope[s])

@@ -202,17 +202,27 @@ def policy_steps(session: Session) -> PolicySteps | None:
         saturated=_saturated(full, begin, end),
         terms={
             name: _figures(trace, steps, at, info, fall, window)
-            for (name, at), trace in zip(steps.terms.items(), terms, strict=True)
+            for (name, at), trace in zip(_newest(steps, contract).items(), terms, strict=True)
         },
         fall=told,
     )
 
 
+def _newest(steps: PolicyStream, contract: PolicyContract | None) -> dict[str, slice]:
+    """Columns of each term's last step, which is the newest one in a history."""
+    histories = {one.name: one.history for one in contract.terms} if contract else {}
+    return {
+        name: slice(at.stop - (at.stop - at.start) // histories.get(name, 1), at.stop)
+        for name, at in steps.terms.items()
+    }
+
+
 def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Trace]:
     """The terms of an observation; joints minus their reference if that is observed."""
-    asked = steps.terms.get("motion_command")
+    columns = _newest(steps, contract)
+    asked = columns.get("motion_command")
     scales = {one.name: np.array(one.scale) for one in contract.terms} if contract else {}
-    for name, at in steps.terms.items():
+    for name, at in columns.items():
         values = steps.observation[:, at].astype(np.float64)
         n, names = values.shape[1], [f"{name}[{i}]" for i in range(values.shape[1])]
         if contract and n == len(contract.joint_names):
@@ -235,7 +245,7 @@ def _actions(steps: PolicyStream, contract: PolicyContract | None) -> _Trace:
     """Actions minus the one that commands the reference, if that is observed."""
     names = [f"the action of {short_name(joint)}" for joint in JOINT_NAMES]
     values = steps.action.astype(np.float64)
-    asked = steps.terms.get("motion_command")
+    asked = _newest(steps, contract).get("motion_command")
     if contract and asked:
         scale = next(np.array(one.scale) for one in contract.terms if one.name == "motion_command")
         n = len(JOINT_NAMES)

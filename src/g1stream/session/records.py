@@ -231,14 +231,33 @@ class PolicyInfo(Record):
     @property
     def columns(self) -> dict[str, slice]:
         """Columns of each term in the observation, by name; empty if they are unknown."""
+        sizes = self._sizes
+        ends = accumulate(size for _, size, _ in sizes)
+        return {
+            name: slice(end - size, end) for (name, size, _), end in zip(sizes, ends, strict=True)
+        }
+
+    @property
+    def newest(self) -> dict[str, slice]:
+        """Columns of each term's newest step, which is the last one in a history."""
+        columns = self.columns
+        return {
+            name: slice(columns[name].stop - size // history, columns[name].stop)
+            for name, size, history in self._sizes
+        }
+
+    @property
+    def _sizes(self) -> list[tuple[str, int, int]]:
+        """Name, number of values and number of steps of each term; empty if they are unknown."""
         try:
-            sizes = [(str(one["name"]), int(one["size"])) for one in self.contract["terms"]]
-        except (KeyError, TypeError, ValueError, OverflowError):
-            return {}
-        ends = list(accumulate(size for _, size in sizes))
-        if not ends or min(size for _, size in sizes) < 0:
-            return {}
-        return {name: slice(end - size, end) for (name, size), end in zip(sizes, ends, strict=True)}
+            sizes = [
+                (str(one["name"]), int(one["size"]), int(one.get("history", 1)))
+                for one in self.contract["terms"]
+            ]
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+            return []
+        sound = all(size >= 0 and history > 0 for _, size, history in sizes)
+        return sizes if sound else []
 
 
 AttachedBy = Literal["commands", "arm commands", "measured joints"]

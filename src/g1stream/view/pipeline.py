@@ -193,7 +193,7 @@ def _encoders(
         _Timing("/timing/commands", REFERENCE.name),
         _Timing("/timing/states", LOWSTATE.name),
         _Errors(robot.joint_names, rate, every=every),
-        _PolicyTerms(robot.joint_names, policy.columns if policy else {}),
+        _PolicyTerms(robot.joint_names, policy.newest if policy else {}),
     )
 
 
@@ -344,7 +344,8 @@ class _Errors:
 class _PolicyTerms:
     """Encoder of /policy/terms, the steps of a policy by the names of its terms and joints.
 
-    `columns` has the columns of each term. Without it, the whole observation is one term, `values`.
+    `columns` has the columns of each term, of the newest step alone. Without it, the whole
+    observation is one term, `values`.
     """
 
     def __init__(self, joint_names: Sequence[str], columns: Mapping[str, slice]) -> None:

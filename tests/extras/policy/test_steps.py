@@ -259,6 +259,8 @@ def test_observations_with_a_history_are_recomputed(place):
     session = g1stream.rollout("demo", policy=path, config=config(), seconds=1.0)
     steps = session.policy
     assert steps.observation[:, steps.terms["joint_vel_rel"]].shape[1] == 5 * 29
+    row = json.loads(next(iter(session.messages("/policy/terms"))).data)
+    assert {name: len(row["observation"][name]) for name in TERMS} == TERMS
     replayed = replay_policy(session)
     assert (replayed.rebuilt, replayed.same) == (len(steps), True)
     later = session.sel(time=slice(float(steps.time[10]) - 0.001, None))

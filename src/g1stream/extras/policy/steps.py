@@ -7,7 +7,7 @@ known if the network normalises its observation with them; they are never assume
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -176,15 +176,15 @@ def policy_steps(session: Session) -> PolicySteps | None:
     steps, info = session.policy, session.policy_info
     if steps is None or len(steps) < 2:
         return None
-    contract = recorded_contract(info)
+    contract, columns = recorded_contract(info), info.newest if info else {}
     step = 1.0 / contract.rate if contract else float(np.median(np.diff(steps.time)))
-    terms = list(_terms(steps, contract))
+    terms = list(_terms(steps, columns, contract))
     begin, fall = float(steps.time[0]), _fall(session)
     full = _at_limit(session)
     told, window = None, 0.0
     if fall:
         window = min(_WINDOW, 0.5 * (fall[0] - begin))
-        traces = [*terms, _actions(steps, contract), *_contacts(session, steps)]
+        traces = [*terms, _actions(steps, columns, contract), *_contacts(session, steps)]
         signs = [*_left(traces, fall[0], window), *_times(session, steps, step, fall[0], window)]
         signs += _torques(full, begin, fall[0], window)
         told = Fall(time_s=fall[0], why=fall[1], signs=_first(signs))
@@ -202,24 +202,16 @@ def policy_steps(session: Session) -> PolicySteps | None:
         saturated=_saturated(full, begin, end),
         terms={
             name: _figures(trace, steps, at, info, fall, window)
-            for (name, at), trace in zip(_newest(steps, contract).items(), terms, strict=True)
+            for (name, at), trace in zip(columns.items(), terms, strict=True)
         },
         fall=told,
     )
 
 
-def _newest(steps: PolicyStream, contract: PolicyContract | None) -> dict[str, slice]:
-    """Columns of each term's last step, which is the newest one in a history."""
-    histories = {one.name: one.history for one in contract.terms} if contract else {}
-    return {
-        name: slice(at.stop - (at.stop - at.start) // histories.get(name, 1), at.stop)
-        for name, at in steps.terms.items()
-    }
-
-
-def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Trace]:
+def _terms(
+    steps: PolicyStream, columns: Mapping[str, slice], contract: PolicyContract | None
+) -> Iterator[_Trace]:
     """The terms of an observation; joints minus their reference if that is observed."""
-    columns = _newest(steps, contract)
     asked = columns.get("motion_command")
     scales = {one.name: np.array(one.scale) for one in contract.terms} if contract else {}
     for name, at in columns.items():
@@ -241,11 +233,13 @@ def _terms(steps: PolicyStream, contract: PolicyContract | None) -> Iterator[_Tr
         yield _Trace("term", names, steps.time, values)
 
 
-def _actions(steps: PolicyStream, contract: PolicyContract | None) -> _Trace:
+def _actions(
+    steps: PolicyStream, columns: Mapping[str, slice], contract: PolicyContract | None
+) -> _Trace:
     """Actions minus the one that commands the reference, if that is observed."""
     names = [f"the action of {short_name(joint)}" for joint in JOINT_NAMES]
     values = steps.action.astype(np.float64)
-    asked = _newest(steps, contract).get("motion_command")
+    asked = columns.get("motion_command")
     if contract and asked:
         scale = next(np.array(one.scale) for one in contract.terms if one.name == "motion_command")
         n = len(JOINT_NAMES)

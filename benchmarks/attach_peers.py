@@ -101,7 +101,8 @@ def example_row(recording: Path, motion: Motion) -> dict[str, Any]:
     session = g1stream.open_session(recording)
     command = session.command
     wrist = command.q[:, JOINT_NAMES.index("left_wrist_roll_joint")]
-    begun = int(np.argmax(wrist > 0.1))  # before, the wrist goes from where it hangs to zero
+    still = int(2.0 * STAGE / STEP) // 2  # in these the wrist goes from where it hangs to zero
+    begun = still + int(np.argmax(wrist[still:] > 0.1))
     at = 2.0 * STAGE + np.arcsin(wrist[begun] / np.radians(30.0)) / (2.0 * np.pi)
     at += STEP * (np.arange(len(wrist)) - begun)
     inside = (at > STAGE) & (at < motion.duration)

@@ -1,6 +1,7 @@
 """How often `fit` finds hidden parameters, and how much of the gap it closes.
 
     python benchmarks/fit.py [--fits 20] [--support bolted] [--seconds 40] [--first 0] [--jobs 1]
+        [--json]
 
 Each fit has a simulated robot with hidden parameters: viscous and dry friction of every joint 0.5
 to 3 times the default, armature 0.5 to 2 times, commands 2 to 12 ms late, and 1 kg on the torso.

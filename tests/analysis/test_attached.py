@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import g1stream
+from g1stream.analysis.attached import Recorded, find_motion
 from g1stream.app.attach import write_attached
 from g1stream.app.session import Session
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
@@ -238,3 +239,16 @@ def test_joints_that_were_not_recorded_did_not_play(strangers, motion):
     session = strangers(LOWSTATE)
     session.source.add_metadata({"absent": ["left_wrist_yaw_joint"]})
     assert 21 not in Session(session.source).attach(motion).tracking().joints
+
+
+def test_commands_that_are_the_motion_are_not_compared_with_the_robot(strangers, motion):
+    session = strangers(LOWCMD)
+
+    def sources():
+        yield Recorded("commands", session.command.published, session.command.q)
+        raise AssertionError
+
+    found = find_motion(sources(), Trajectory(motion))
+    assert found
+    assert found.by == "commands"
+    assert found.distance < 1e-3

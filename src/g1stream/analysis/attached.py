@@ -95,7 +95,7 @@ def find_motion(
         trajectory: the motion.
         any_speed: as in `find_plays`.
     """
-    found = []
+    found: list[Found] = []
     for by, published, q in recorded:
         sane = np.flatnonzero((np.abs(q) < NUMBER).all(axis=1))
         _, once = np.unique(published[sane], return_index=True)
@@ -103,10 +103,10 @@ def find_motion(
         if len(rows):
             zero = int(published[rows[0]])
             times = (published[rows] - zero) / 1e9
-            plays = find_plays(times, q[rows], trajectory, any_speed=any_speed)
-            found.append(Found(by, zero, plays))
-            if found[0].distance < _EXACT:
-                return found[0]
+            one = Found(by, zero, find_plays(times, q[rows], trajectory, any_speed=any_speed))
+            if not found and one.distance < _EXACT:
+                return one  # the others cannot be nearer by much
+            found.append(one)
     if not found:
         return None
     first, last = found[0], found[-1]

@@ -256,7 +256,7 @@ class PolicyInfo(Record):
             ]
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
             return []
-        sound = all(size >= 0 and history > 0 for _, size, history in sizes)
+        sound = all(size >= 0 and history > 0 and not size % history for _, size, history in sizes)
         return sizes if sound else []
 
 

@@ -13,7 +13,7 @@ from g1stream.app.session import open_session
 from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.fit.gap import gap, robot_of
+from g1stream.extras.fit.gap import gap, motor_torque, robot_of
 from g1stream.extras.fit.recorded import Recorded, noise_of
 from g1stream.extras.fit.simulation import simulate_commands
 from g1stream.robot.joints import JOINT_NAMES
@@ -190,20 +190,40 @@ def test_windows_do_not_reach_over_a_gap(same):
     assert gap(g1stream.Session(source), support="bolted").q_rad < 1e-5
 
 
-def test_an_excerpt_has_whole_windows_of_all_parts(same):
+@pytest.fixture
+def short_parts(monkeypatch):
+    monkeypatch.setattr("g1stream.extras.fit.recorded._PART", 0.2)
+
+
+def test_an_excerpt_has_whole_parts_from_the_beginning_to_the_end(same, short_parts):
     recorded = Recorded.of(same)
-    assert recorded.excerpt(recorded.seconds, 0.2) is recorded
-    some = recorded.excerpt(recorded.seconds / 2.0, 0.2)
-    windows = some.windows(0.2)
+    assert recorded.excerpt(recorded.seconds) is recorded
+    some = recorded.excerpt(recorded.seconds / 2.0)
+    windows = some.windows(0.1)
     assert 0.4 * recorded.seconds < some.seconds <= 0.51 * recorded.seconds
-    assert {part.stop - part.start for part in windows[:-1]} == {101}
+    assert {part.stop - part.start for part in windows[:-2]} == {51}
     assert some.time[0] == recorded.time[0]
     assert some.time[-1] > recorded.time[-1] - 0.4
 
 
-def test_a_base_is_smoothed_within_its_parts(same):
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.012])
+def test_in_an_excerpt_the_same_commands_are_in_force(same, short_parts, delay):
+    recorded = Recorded.of(same)
+    some = recorded.excerpt(recorded.seconds / 4.0)
+    assert some.begins.sum() > 2
+    rows = np.searchsorted(recorded.time, some.time)
+    after = rows >= 10  # before that the recording itself does not have them
+    whole, part = recorded.in_force(delay)[rows], some.in_force(delay)
+    assert part[after].tolist() == whole[after].tolist()
+    torque, known = motor_torque(some, delay)
+    expected, _ = motor_torque(recorded, delay)
+    assert not known[some.begins].any()
+    assert torque[known & after] == pytest.approx(expected[rows][known & after])
+
+
+def test_a_base_is_smoothed_within_its_parts(same, short_parts):
     recorded = Recorded.of(same)
     turning = np.sin(5.0 * recorded.time)[:, np.newaxis] * np.ones(3)
     turning = replace(recorded, gyroscope=turning)
-    some = turning.excerpt(recorded.seconds / 4.0, 0.2)
+    some = turning.excerpt(recorded.seconds / 4.0)
     np.testing.assert_allclose(some.smooth_base()[1], some.gyroscope, atol=0.02)

@@ -81,7 +81,7 @@ def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(policy):
     assert (contract.reference, contract.anchor) == ("none", None)
 
 
-def test_histories_of_the_three_formats(policy):
+def test_histories_of_metadata_and_a_toml_file(policy, capsys):
     path = policy({"observation_history_lengths": "0,1,3,3,1,2.0"}, width=247)
     contract = contract_of(path)
     assert [term.history for term in contract.terms] == [1, 1, 3, 3, 1, 2]
@@ -94,36 +94,60 @@ def test_histories_of_the_three_formats(policy):
     contract = contract_of(path)
     assert [term.history for term in contract.terms] == [82, 1]
     assert contract.history_start == "zeros"
-    for wrong in ("0", "true", "1.5", "1000", '"2"'):
+    assert main(["policy", str(path)]) == 0
+    assert "steps before the first one: zeros" in " ".join(capsys.readouterr().out.split())
+    for wrong in ("0", "true", "1.5", "1000", '"2"', "[1]"):
         path.with_suffix(".toml").write_text(
             f'[[terms]]\nname = "base_ang_vel"\nhistory = {wrong}\n'
         )
-        with pytest.raises(ConfigError):
+        with pytest.raises(ConfigError) as raised:
             contract_of(path)
+        assert "history of base_ang_vel" in raised.value.cause
+    for wrong in ('"ones"', "0", '["zeros"]'):
+        path.with_suffix(".toml").write_text(f"history_start = {wrong}\n")
+        with pytest.raises(ConfigError) as raised:
+            contract_of(path)
+        assert "history_start" in raised.value.cause
 
 
-def test_limits_of_a_single_term_are_refused(policy):
-    path = policy("all", width=3)
-    del (model := onnx.load(path)).metadata_props[:]
-    onnx.save(model, path)
-    terms = {"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}}
-    path.with_name("deploy.yaml").write_text(
-        json.dumps(
-            {
-                "joint_ids_map": [*range(29)],
-                "step_dt": 0.02,
-                "stiffness": [40.0] * 29,
-                "damping": [1.0] * 29,
-                "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.0] * 29}},
-                "observations": terms,
-            }
-        )
-    )
+@pytest.fixture
+def deployed(policy):
+    """Write a policy of 6 values beside a deploy.yaml with some observations."""
+
+    def write(observations):
+        path = policy("all", width=6)
+        del (model := onnx.load(path)).metadata_props[:]
+        onnx.save(model, path)
+        values = {
+            "joint_ids_map": [*range(29)],
+            "step_dt": 0.02,
+            "stiffness": [40.0] * 29,
+            "damping": [1.0] * 29,
+            "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.0] * 29}},
+            "observations": observations,
+        }
+        path.with_name("deploy.yaml").write_text(json.dumps(values))
+        return path
+
+    return write
+
+
+def test_histories_of_a_deploy_yaml(deployed):
+    term = {"base_ang_vel": {"scale": [0.2] * 3, "clip": None, "history_length": 2}}
+    contract = contract_of(deployed({"use_gym_history": False, "scale_first": True} | term))
+    assert [(one.size, one.history) for one in contract.terms] == [(6, 2)]
+    with pytest.raises(ConfigError) as raised:
+        contract_of(deployed({"use_gym_history": True} | term))
+    assert "use_gym_history" in raised.value.cause
+
+
+def test_limits_of_a_single_term_are_refused(deployed):
+    path = deployed({"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}})
     with pytest.raises(ConfigError) as raised:
         contract_of(path)
     assert "base_ang_vel" in raised.value.cause
-    path.with_suffix(".toml").write_text('[[terms]]\nname = "base_ang_vel"\nscale = 0.2\n')
-    assert contract_of(path).terms[0].scale == [0.2]
+    path.with_suffix(".toml").write_text('[[terms]]\nname = "base_ang_vel"\nhistory = 2\n')
+    assert contract_of(path).terms[0].history == 2
 
 
 HOLOSOMA = {
@@ -196,7 +220,10 @@ WRONG = {
         "motion 290",
     ),
     "a history that only the network has": ({}, {"width": 5 * 154}, "history = 5"),
-    "lengths of other terms": ({"observation_history_lengths": "5,1"}, {}, "metadata"),
+    "lengths of other terms": ({"observation_history_lengths": "5,1"}, {}, "5,1"),
+    "half a step": ({"observation_history_lengths": "1,1,1.5,1,1,1"}, {}, "1.5"),
+    "more than a recorded step has room for": ({}, {"width": 1025}, "1025 values"),
+    "a term twice": ({"observation_names": "command,motion"}, {}, "motion_command twice"),
     "a custom operator": ({}, {"domain": "my.own"}, "my.own"),
     "a width that is not known": ({}, {"width": "wide"}, "width"),
 }

@@ -238,10 +238,10 @@ def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.b
     """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) whether known.
 
     The command is the one in force up to the LowState, see `Recorded.in_force`. Position and
-    velocity are the means of this LowState and the one before.
+    velocity are the means of this LowState and the one before, so the first one is unknown.
     """
     number = np.concatenate([[-1], recorded.in_force(delay)[:-1]])
-    known = number >= 0
+    known = (number >= 0) & ~recorded.begins
     q, dq, tau, kp, kd = recorded.commands[number.clip(0)].transpose(1, 0, 2)
     at_q, at_dq = (0.5 * (one + np.roll(one, 1, axis=0)) for one in (recorded.q, recorded.dq))
     torque = tau + kp * (q - at_q) + kd * (dq - at_dq)

@@ -190,8 +190,8 @@ def fit_parameters(
     else:
         other = hold_out if isinstance(hold_out, Session) else open_session(hold_out)
         fitted, judged = records, [Recorded.of(other)]
-    fitted = [one.excerpt(_MOST / len(fitted), _WINDOW) for one in fitted]
-    judged = [one.excerpt(_MOST_JUDGED / len(judged), _JUDGED) for one in judged]
+    fitted = [one.excerpt(_MOST / len(fitted)) for one in fitted]
+    judged = [one.excerpt(_MOST_JUDGED / len(judged)) for one in judged]
     # The band's exact point of attack on a hanging robot's torso is unknown, and so is its mass.
     links = [link for link in LINKS if "hanging" not in held or link != "torso_link"]
     masses = [("mass", link) for link in links]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, Final
 
@@ -24,6 +24,8 @@ __all__ = ["Recorded", "noise_of", "smoothed"]
 
 #: A longer time between two LowStates, s or periods, splits the record.
 _GAP, _GAP_PERIODS = 0.02, 5.0
+#: Length of a part of an excerpt, s.
+_PART: Final = 10.0
 #: States are resampled evenly if this fraction of their intervals is off by this much.
 _UNEVEN, _OFF = 0.005, 0.2
 #: The robot's own clock is used if its rate is within this fraction of real time.
@@ -183,14 +185,14 @@ class Recorded:
         """Time in which there are states, s."""
         return len(self.time) * self.period
 
-    def excerpt(self, most: float, length: float) -> Recorded:
-        """At most `most` s of it: windows of `length` s, evenly spread."""
+    def excerpt(self, most: float) -> Recorded:
+        """About `most` s of it: parts of at most 10 s, evenly spread."""
         if self.seconds <= most:
             return self
-        windows = self.windows(length)
-        n = max(1, int(len(windows) * most / self.seconds))
-        chosen = np.linspace(0, len(windows) - 1, n).astype(int)
-        rows = [np.arange(windows[i].start, windows[i].stop) for i in chosen]
+        parts = self.windows(min(_PART, most))
+        n = max(1, int(len(parts) * most / self.seconds))
+        chosen = np.linspace(0, len(parts) - 1, n).astype(int)
+        rows = [np.arange(parts[i].start, parts[i].stop) for i in chosen]
         return self.part(np.unique(np.concatenate(rows)))
 
     def windows(self, length: float) -> list[slice]:
@@ -202,19 +204,29 @@ class Recorded:
             for start in range(part.start, part.stop - 1, n)
         ]
 
+    @cached_property
+    def begins(self) -> NDArray[np.bool_]:
+        """(N,) whether a state is the first one, or the first one after a gap."""
+        return np.append(True, np.diff(self.time) > self.gap)
+
     def _continuous(self) -> list[slice]:
         """The parts between gaps."""
-        gaps = np.flatnonzero(np.diff(self.time) > self.gap) + 1
-        return [slice(a, b) for a, b in pairwise([0, *gaps.tolist(), len(self.time)])]
+        starts = np.flatnonzero(self.begins).tolist()
+        return [slice(a, b) for a, b in pairwise([*starts, len(self.time)])]
 
     def in_force(self, delay: float) -> Ints:
         """(N,) index of the command in force from each LowState to the next one; -1 for none.
 
         As in the embedded simulator, a command that was published before a LowState is received
-        with it, and used `delay` s later, rounded to a LowState.
+        with it, and used `delay` s later, rounded to a LowState. States in a gap count as if they
+        had been recorded.
         """
         received = np.searchsorted(self.published, self.command_times)  # LowState of the reception
-        obeyed = received + int(np.ceil(delay / self.period - 0.5))
+        state = received.clip(0, len(self.time) - 1)
+        waited = (self.published[state] - self.command_times) / np.median(np.diff(self.published))
+        unseen = np.where(self.begins[state], np.floor(waited), 0.0)
+        delayed = int(np.ceil(delay / self.period - 0.5))
+        obeyed = received + np.maximum(0, delayed - unseen).astype(int)
         newest: Ints = np.searchsorted(obeyed, np.arange(len(self.time)), side="right") - 1
         return newest
 

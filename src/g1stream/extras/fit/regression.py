@@ -167,10 +167,8 @@ class Regression:
             normals[:, own, shared] = weighted[:, :, :3, 3:-1]
             normals[:, shared, own] = weighted[:, :, 3:-1, :3].transpose(0, 2, 1, 3)
             normals[:, shared, shared] = weighted[:, :, 3:-1, 3:-1].sum(axis=1)
-            right[:, own], right[:, shared] = (
-                weighted[:, :, :3, -1],
-                weighted[:, :, 3:-1, -1].sum(axis=1),
-            )
+            right[:, own] = weighted[:, :, :3, -1]
+            right[:, shared] = weighted[:, :, 3:-1, -1].sum(axis=1)
             total = normals.sum(axis=0) + regular
             values = np.linalg.solve(total, right.sum(axis=0) + regular @ prior)
             residual = np.full((N_JOINTS, 1, products.shape[-1]), -1.0)
@@ -266,7 +264,8 @@ class _Block(NamedTuple):
     """The equations of each joint within a second: y = own columns and shared columns x parameters.
 
     Attributes:
-        products: (29, 3 + L + 1, 3 + L + 1) products of the own columns, the shared ones, and y.
+        products: (29, 3 + L + 1, 3 + L + 1) products of the columns own, shared and y with each
+            other, summed over the equations.
         rows: (29,) number of equations.
     """
 

@@ -8,6 +8,7 @@ it. If none has it, an error shows the line to write to the TOML file; docs/poli
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import combinations
@@ -18,6 +19,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from g1stream.config import read_toml
+from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import ALIASES, TERMS
@@ -42,12 +44,15 @@ _LINES: Final = {
     "action_scale": 'action_scale = { "*" = 0.25 }',
     "kp": 'kp = { "*_knee_joint" = 99.1, ... }',
     "kd": 'kd = { "*_knee_joint" = 6.3, ... }',
-    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 or history = 5 if not 1',
+    "terms": '[[terms]] with name = "base_ang_vel", and scale and history where they are not 1',
     "anchor": 'anchor = "torso_link"',
 }
-#: Facts with a default: no limit, no lag, and a history that begins with the first step.
+#: Facts with a default: no limit, no lag, and a history that is filled with the first step.
 _OPTIONAL: Final = ("clip", "lag", "history_start")
-_HISTORY_STARTS: Final = ("first step", "zeros")
+#: What stands in a history for the steps before the first one, in words.
+_HISTORY_STARTS: Final = {"first step": "the first step repeated", "zeros": "zeros"}
+#: Keys beside the terms in a deploy.yaml.
+_BESIDE_TERMS: Final = ("use_gym_history", "scale_first")
 #: Keys of a term in a TOML file.
 _TERM_KEYS: Final = ("name", "scale", "history")
 #: Most steps in the history of a term.
@@ -139,7 +144,8 @@ class PolicyContract(Record, frozen=True):
             "anchor": self.anchor or "",
             "observation": f"{counted(width, 'value')}"
             + (f", clipped to +-{self.clip:g}" if self.clip else ""),
-            "history": f"the oldest step first; before the first step {self.history_start}"
+            "history": "the oldest step first; steps before the first one: "
+            + _HISTORY_STARTS[self.history_start]
             if any(term.history > 1 for term in self.terms)
             else "",
         }
@@ -196,6 +202,12 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
                 values[name], origin[name] = value, facts.where
     where = f"the policy {path}"
     terms = [_term(one, where) for one in values.get("terms", [])]
+    twice = [name for name, n in Counter(term.name for term in terms).items() if n > 1]
+    if twice:
+        raise ConfigError(
+            f"The observation of {where} has {listed(twice)} twice.",
+            "Give each term once; a history beside the present values is not supported.",
+        )
     uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
     needed = [name for name in _LINES if name != "anchor" or uses_anchor]
     missing = [name for name in needed if name not in values]
@@ -223,8 +235,8 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     clip, lag = (_number(values.get(name, 0), name, where) for name in ("clip", "lag"))
     if clip < 0.0 or lag not in range(10):
         raise _wrong("clip, lag", f"{clip:g}, {lag:g}", where, "at least 0, and 0 to 9")
-    history_start = values.get("history_start", _HISTORY_STARTS[0])
-    if history_start not in _HISTORY_STARTS:
+    history_start = values.get("history_start", "first step")
+    if str(history_start) not in _HISTORY_STARTS:
         raise _wrong("history_start", history_start, where, " or ".join(_HISTORY_STARTS))
     return PolicyContract(
         path=str(path),
@@ -299,7 +311,11 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
 
     commands = split("command_names") or ["motion"]
     names = split("observation_names") or []
-    lengths = split("observation_history_lengths") or ["1"] * len(names)
+    lengths: list[Any] = split("observation_history_lengths") or ["1"] * len(names)
+    if len(lengths) == len(names):
+        lengths = [max(1.0, float(length)) for length in lengths]
+    else:
+        lengths = [metadata["observation_history_lengths"]] * len(names)  # which is refused
     return {
         "joint_names": split("joint_names"),
         "default_pos": split("default_joint_pos"),
@@ -309,7 +325,7 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
         "terms": [
             {
                 "name": commands[0] if name == "command" else name,
-                "history": max(1, int(float(length))),
+                "history": length,
             }
             for name, length in zip(names, lengths, strict=True)
         ],
@@ -333,8 +349,7 @@ def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
     if isinstance(terms, dict):
         history = _at(group, "history_length") or 1
         facts["terms"] = [
-            {"name": name, "scale": _scale(terms[name]), "history": history}
-            for name in sorted(terms)
+            _given(name, terms[name]) | {"history": history} for name in sorted(terms)
         ]
     # Its runner reads the reference of the next step after the observation.
     facts |= {"lag": 1, "history_start": "zeros"}
@@ -374,10 +389,16 @@ def _of_deploy(path: Path) -> dict[str, Any]:
     motors = _at(values, "joint_ids_map")
     terms = None
     if isinstance(observations, dict):
+        if observations.get("use_gym_history"):
+            raise ConfigError(
+                f"According to {path}, the policy observes all terms of a step before those of "
+                "the next (use_gym_history), which is not supported.",
+                "Give a policy that was trained without it.",
+            )
         terms = [
-            {"name": name, "scale": _scale(one), "history": _at(one, "history_length") or 1}
-            | ({"clip": limits} if (limits := _at(one, "clip")) else {})
+            _given(name, one) | {"history": _at(one, "history_length") or 1}
             for name, one in observations.items()
+            if name not in _BESIDE_TERMS
         ]
     known = isinstance(motors, list) and all(
         isinstance(motor, int) and 0 <= motor < N_JOINTS for motor in motors
@@ -411,9 +432,10 @@ def _at(values: Any, *keys: str) -> Any:
     return values
 
 
-def _scale(term: Any) -> Any:
-    scale = _at(term, "scale")
-    return 1.0 if scale is None else scale
+def _given(name: str, term: Any) -> dict[str, Any]:
+    """A term of a configuration as in a TOML file; with a clip, which `_term` refuses."""
+    found = {key: _at(term, key) for key in ("scale", "clip")}
+    return {"name": name} | {key: value for key, value in found.items() if value is not None}
 
 
 def _term(given: Mapping[str, Any], where: str) -> Term:
@@ -439,13 +461,13 @@ def _term(given: Mapping[str, Any], where: str) -> Term:
             f"{counted(len(factors), 'scale')}.",
             "Give one scale, or a scale for each value.",
         )
-    if not isinstance(history, int) or not 1 <= history <= _MOST_STEPS:
+    if isinstance(history, bool) or history not in range(1, _MOST_STEPS + 1):
         raise _wrong(f"history of {named}", history, where, f"1 to {_MOST_STEPS} steps")
     return Term(
         name=name,
         named=named,
-        size=size * history,
-        history=history,
+        size=size * int(history),
+        history=int(history),
         scale=factors,
         formula=formula,
     )
@@ -536,23 +558,30 @@ def _check_ranges(arrays: Mapping[str, Floats], names: list[str], robot: G1, whe
 
 def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
     """Raise if the width of the terms differs from the network's input; suggest terms."""
+    most = len(PolicyStep().observation)
+    if network.width > most:
+        raise ConfigError(
+            f"The network of {where} takes {network.width} values, but a step that is recorded "
+            f"has room for {most}.",
+            "Give a policy with a narrower observation.",
+        )
     total = sum(term.size for term in terms)
     if total == network.width:
         return
-    own = {term.name for term in terms}
-    less = total < network.width
+    own = {term.name: term.size for term in terms}
     history = max((term.history for term in terms), default=1)
-    candidates = [name for name in TERMS if (name not in own) == less]
-    size: Callable[[str], int] = lambda name: history * TERMS[name].size  # noqa: E731
+    others = {name: history * one.size for name, one in TERMS.items() if name not in own}
+    sizes = others if total < network.width else own
     fitting = [
         " and ".join(some)
         for number in (1, 2)
-        for some in combinations(candidates, number)
-        if sum(map(size, some)) == abs(network.width - total)
+        for some in combinations(sizes, number)
+        if sum(sizes[name] for name in some) == abs(network.width - total)
     ]
     guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
-    if history == 1 and total and not network.width % total:
-        guess = f" With history = {network.width // total} in each term they are as wide."
+    steps, rest = divmod(network.width, total or network.width + 1)
+    if history == 1 and not rest and 1 < steps <= _MOST_STEPS:
+        guess += f" With history = {steps} in each term they are as wide, too."
     raise ConfigError(
         f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",

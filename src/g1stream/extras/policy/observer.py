@@ -41,8 +41,8 @@ class Observer:
         self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
         self._order, self._default = contract.order, np.array(contract.default_pos)
         self._frames: deque[ReferenceFrame] = deque(maxlen=contract.lag + 1)
-        self._past: list[deque[Floats]] = [deque(maxlen=term.history) for term in contract.terms]
-        self._before = float(contract.history_start == "first step")
+        self._histories: list[deque[Floats]] = [deque(maxlen=one.history) for one in contract.terms]
+        self._zeros = contract.history_start == "zeros"
         self._yaw0, self._origin = np.array([1.0, 0.0, 0.0, 0.0]), (_ORIGIN, _ORIGIN)
         self.last_action = np.zeros(len(self._default))
 
@@ -52,8 +52,8 @@ class Observer:
         self._yaw0 = quat_mul(own, quat_conj(its))
         self._origin = frame.anchor.pos * _ON_FLOOR, state.anchor.pos * _ON_FLOOR
         self._frames.clear()
-        for past in self._past:
-            past.clear()
+        for history in self._histories:
+            history.clear()
         self.last_action = np.zeros(len(self._default))
 
     def observe(self, state: RobotState, frame: ReferenceFrame) -> Floats:
@@ -72,11 +72,12 @@ class Observer:
             self.last_action,
             *_STANDS,
         )
-        for past, values in zip(self._past, observe(self._terms, inputs), strict=True):
-            if not past:
-                past.extend([self._before * values] * (past.maxlen or 1))
-            past.append(values)
-        observation = np.concatenate([values for past in self._past for values in past])
+        for history, values in zip(self._histories, observe(self._terms, inputs), strict=True):
+            if not history:
+                before = np.zeros_like(values) if self._zeros else values
+                history.extend([before] * (history.maxlen or 1))
+            history.append(values)
+        observation = np.concatenate([values for one in self._histories for values in one])
         return np.clip(observation, -self._clip, self._clip) if self._clip else observation
 
 

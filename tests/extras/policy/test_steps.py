@@ -394,9 +394,19 @@ def test_terms_of_two_sessions_are_compared(falling, place):
     other = g1stream.rollout(
         "demo", policy=place / "policy.onnx", config=config(), seconds=2.0, noise=noise
     )
-    terms = g1stream.compare(falling, other).terms
-    assert set(terms) == {f"{what} of {name}" for what in ("mean", "std") for name in TERMS}
-    assert terms["std of base_ang_vel"].base > 0.0
+    found = g1stream.compare(falling, other)
+    names = [*TERMS, "action"]
+    assert set(found.terms) == {f"{what} of {name}" for what in ("mean", "std") for name in names}
+    assert found.terms["std of base_ang_vel"].base > 0.0
+    assert list(found.terms_apart) == names
+    assert found.terms_apart["motion_command"] < 1e-3
+    assert found.terms_apart["base_ang_vel"] > 0.005  # white noise of 0.01 rad/s alone
+    ours, theirs = falling.policy, other.policy
+    n = min(len(ours), len(theirs))
+    assert np.abs(ours.time[:n] - theirs.time[:n]).max() < 1e-6
+    apart = (ours.action[:n] - theirs.action[:n])[ours.time[:n] >= found.start_s]
+    assert found.terms_apart["action"] == pytest.approx(float(np.sqrt((apart**2).mean())), rel=0.1)
+    assert f"action {found.terms_apart['action']:.3g}" in " ".join(str(found).split())
 
 
 # --- policies of others ---

@@ -76,8 +76,10 @@ class Comparison(Record):
         metrics: over all joints that played in every session, by the name for --fail-if.
         limbs, joints: RMSE, rad, by name; the joints with significant differences first, then by
             size of the difference.
-        terms: mean and standard deviation of each term that a learned policy observed, such as
-            `std of joint_vel_rel`; empty if a session has no policy.
+        terms: mean and standard deviation of each term that a learned policy observed, and of its
+            actions, such as `std of joint_vel_rel`; empty if a session has no policy.
+        terms_apart: RMS difference of these at the same motion time, means over the sessions of a
+            side, by term; those that both sides have.
         differs: other differences between the sides, such as `gains.kp of waist` -> the value on
             each side.
     """
@@ -91,6 +93,7 @@ class Comparison(Record):
     limbs: dict[str, Difference]
     joints: dict[str, Difference]
     terms: dict[str, Difference]
+    terms_apart: dict[str, float]
     differs: dict[str, tuple[str, str]]
 
     def __str__(self) -> str:
@@ -118,6 +121,11 @@ class Comparison(Record):
             labelled("differs   ", f"{name}: {base}; {other}")
             for name, (base, other) in self.differs.items()
         ]
+        if self.terms_apart:
+            apart = (f"{name} {value:.3g}" for name, value in self.terms_apart.items())
+            lines.append(
+                labelled("apart     ", f"at the same motion time, RMS: {', '.join(apart)}")
+            )
         below = (
             "change: other - base, in % of base or, from tenfold on, other / base; in the unit "
             f"if a percentage has no meaning; joints: the {_MOST_JOINTS} whose RMSE differs most, "
@@ -201,6 +209,9 @@ def compare(
     if stop - start < _SHORTEST:
         raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
     found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
+    observed = [[steps for run in side if (steps := _observed(run, start, stop))] for side in sides]
+    if list(map(len, observed)) != list(map(len, sides)):
+        observed = []
     comparison = Comparison(
         motion=runs[0].motion,
         base=[run.path for run in sides[0]],
@@ -217,7 +228,8 @@ def compare(
         ),
         limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
         joints=ranked(differences([[_rmse(m, "joints") for m in side] for side in found], {})),
-        terms=_terms(sides, start, stop),
+        terms=_terms(observed) if observed else {},
+        terms_apart=_apart(observed) if observed else {},
         differs=_circumstances(*sides),
     )
     if page is not None:
@@ -341,29 +353,66 @@ def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
     return {name: one.rmse_rad for name, one in getattr(found.tracking, which).items()}
 
 
-def _terms(sides: Sequence[Sequence[_Run]], start: float, stop: float) -> dict[str, Difference]:
-    """Differences of a policy's observations in a part of the motion, by statistic and term."""
-    figures: list[list[dict[str, float | None]]] = []
-    for side in sides:
-        figures.append([])
-        for run in side:
-            session = _opened(run.source)
-            steps = session.policy
-            if steps is None:
-                return {}
-            tracked = session.tracking()
-            at = np.interp(steps.time, tracked.time, tracked.motion_time, -np.inf, np.inf)
-            observed = steps.observation[(at >= start) & (at <= stop)]
-            found: dict[str, float | None] = {}
-            for name, columns in steps.terms.items() if len(observed) else ():
-                values = observed[:, columns].astype(np.float64)
-                found[f"mean of {name}"] = float(values.mean())
-                found[f"std of {name}"] = float(values.std())
-            figures[-1].append(found)
+class _Observed(NamedTuple):
+    """What a policy observed and did in N steps, by term: values (N, K) at motion times (N,), s."""
+
+    motion_time: Floats
+    values: dict[str, Floats]
+
+
+def _observed(run: _Run, start: float, stop: float) -> _Observed | None:
+    """The steps of a policy in a part of the motion; None without a policy or a step."""
+    session = _opened(run.source)
+    steps, info = session.policy, session.policy_info
+    if steps is None or info is None:
+        return None
+    tracked = session.tracking()
+    at = np.interp(steps.time, tracked.time, tracked.motion_time, -np.inf, np.inf)
+    rows = np.flatnonzero((at >= start) & (at <= stop) & np.isfinite(steps.action).all(axis=1))
+    if not len(rows):
+        return None
+    values = {name: steps.observation[rows, of] for name, of in info.newest.items()}
+    return _Observed(at[rows], values | {"action": steps.action[rows]})
+
+
+def _terms(sides: Sequence[Sequence[_Observed]]) -> dict[str, Difference]:
+    """Differences of a policy's observations, by statistic and term."""
+    statistics: dict[str, Callable[[Floats], Any]] = {"mean": np.mean, "std": np.std}
+    figures = [
+        [
+            {
+                f"{what} of {name}": float(of(values.astype(np.float64)))
+                for name, values in one.values.items()
+                for what, of in statistics.items()
+            }
+            for one in side
+        ]
+        for side in sides
+    ]
     names = {*figures[0][0]}
     return differences(
         figures, dict.fromkeys(names, ""), {name for name in names if name.startswith("mean")}
     )
+
+
+def _apart(sides: Sequence[Sequence[_Observed]]) -> dict[str, float]:
+    """RMS difference of the sides' mean values at the same motion time, by term."""
+    every = [one for side in sides for one in side]
+    first, last = (
+        choose(one.motion_time[end] for one in every) for choose, end in ((max, 0), (min, -1))
+    )
+    at = sides[0][0].motion_time
+    at = at[(at >= first) & (at <= last)]
+    widths = [{(name, values.shape[1]) for name, values in one.values.items()} for one in every]
+    shared = {name for name, _ in set.intersection(*widths)} if len(at) else set[str]()
+    found = {}
+    for name in (name for name in every[0].values if name in shared):
+        base, other = (
+            np.mean([interpolated(at, one.motion_time, one.values[name]) for one in side], axis=0)
+            for side in sides
+        )
+        found[name] = float(np.sqrt(np.mean(np.square(other - base))))
+    return found
 
 
 def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
@@ -609,6 +658,7 @@ def write_page(
                 ("other", ", ".join(comparison.other)),
             ],
             differs=[(name, *sides) for name, sides in comparison.differs.items()],
+            apart=[(name, f"{value:.4g}") for name, value in comparison.terms_apart.items()],
             tables=difference_tables(comparison.model_dump(mode="json")),
             limbs=joints_by_limb(comparison.joints),
             first_joint=drawn["first_joint"],

@@ -357,7 +357,7 @@ class _Observed(NamedTuple):
     """What a policy observed and did in N steps, by term: values (N, K) at motion times (N,), s."""
 
     motion_time: Floats
-    values: dict[str, Floats]
+    values: dict[str, NDArray[Any]]
 
 
 def _observed(run: _Run, start: float, stop: float) -> _Observed | None:

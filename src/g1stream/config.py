@@ -686,7 +686,6 @@ class Config(Table):
         "parameters file of the robot, as written by `g1stream fit`: friction, armature, delay, "
         "torque scale and masses, for the simulator and the feed-forward torque",
         flag=_PARAMS,
-        advanced=True,
         example="g1.toml",
         strict=False,
     )

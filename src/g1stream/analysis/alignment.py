@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from g1stream.motion.trajectory import Trajectory
     from g1stream.types import Floats
 
-__all__ = ["Alignment", "Play", "find_plays"]
+__all__ = ["Alignment", "Play", "find_plays", "least_similarity"]
 
 #: A longer gap without samples separates two recordings; shorter recordings are ignored, s.
 _PAUSE, _SHORTEST = 60.0, 1.0
@@ -184,9 +184,13 @@ def _distinct(plays: Iterable[Play]) -> list[Play]:
     return found
 
 
+def least_similarity(play: Play) -> float:
+    """The similarity from which on a part of this length counts as a playback."""
+    return float(np.interp(play.seconds / play.speed, _SECONDS, _SIMILAR))
+
+
 def _is_play(play: Play) -> bool:
-    seconds = play.seconds / play.speed
-    return bool(play.similarity >= np.interp(seconds, _SECONDS, _SIMILAR))
+    return play.similarity >= least_similarity(play)
 
 
 def _is_same(one: Play, other: Play) -> bool:

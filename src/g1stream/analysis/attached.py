@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.alignment import find_plays
+from g1stream.analysis.alignment import find_plays, least_similarity
 from g1stream.dds.messages import REFERENCE, encode_samples, played_bits
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.input_limits import NUMBER
@@ -149,14 +149,15 @@ def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSo
     plays, best, rival, ambiguous = found.alignment
     if best is None:
         near = (
-            f" The closest part is {rival.seconds:.1f} s from {rival.first:.1f} s on, with "
-            f"similarity {rival.similarity:.2f}."
+            f" The most similar part is {rival.seconds:.1f} s of the motion, from "
+            f"{rival.first:.1f} s on: similarity {rival.similarity:.2f} of at least "
+            f"{least_similarity(rival):.2f}."
             if rival
             else ""
         )
         raise RecordingError(
-            f"{motion.name} was not found in {session.path}, in its {found.by}.{near}",
-            "Give the motion that was played; the session must have at least about 3 s of it.",
+            f"{motion.name} was not found in {session.path}: it is probably another motion.{near}",
+            "Give the motion that was played; less than about 3 s of it are never found.",
         )
     if ambiguous and rival:
         raise RecordingError(

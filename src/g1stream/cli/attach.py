@@ -86,7 +86,7 @@ def _told(info: AttachedInfo) -> str:
         f"{info.rmse_rad:.4f} rad",
     ]
     if info.by_robot:
-        lines.append("            (a delay of the robot has the same effect as a later start)")
+        lines.append("            (a late robot looks like a later start, so its delay is unknown)")
     if info.plays > 1:
         starts = ", ".join(f"{one:.3f}" for one in info.starts_s)
         lines.append(f"times       {info.plays}, starting at {starts} s; this is {info.play}")
@@ -94,5 +94,5 @@ def _told(info: AttachedInfo) -> str:
         lines.append(f"next best   another place in the motion: similarity {info.rival:.3f}")
     heading = "from the IMU" if info.heading_from == "imu" else "from the motion (no IMU)"
     place = "from SportModeState" if info.place_from == "sportmodestate" else "from the motion"
-    lines.append(f"reference   heading {heading}, position {place}, at its first sample")
+    lines.append(f"reference   heading {heading}, position {place}, both at its first frame")
     return "\n".join(lines)

@@ -88,10 +88,11 @@ class FitParameters(SettingsCommand, QuietFlag):
                 support=self.support,
                 progress=partial(progress, "fit"),
             )
-        if self.out is not None:
-            fit.save(self.out, force=self.force)
+        written = fit.save(self.out, force=self.force) if self.out is not None else None
         if self.json:
             print_json(fit.model_dump(mode="json"))
         else:
             print_lines(str(fit))
+            if written:
+                print_lines(f"\nwritten to {written}")
         return EXIT_OK

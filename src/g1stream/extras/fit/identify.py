@@ -19,7 +19,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from g1stream.app.session import Session, open_session
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.fit.gap import compare, motor_torque, robot_of, torque_delay
 from g1stream.extras.fit.recorded import Recorded, noise_of
 from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
@@ -244,6 +244,11 @@ def fit_parameters(
 
 
 def _held(recorded: Recorded, support: str | None) -> Support:
+    if support is None and recorded.support is None:
+        raise ConfigError(
+            f"{recorded.name} does not contain how the robot was held.",
+            "Give --support bolted or hanging.",
+        )
     held = world_support(recorded, support)
     if held == "free":
         raise RecordingError(
@@ -499,11 +504,13 @@ def _toml(fit: Fit) -> str:
         if kind == "com" and (centres := _written(fit).com):
             lines += ["", "[com]"]
             lines += [f"{link} = {np.round(at, 4).tolist()}" for link, at in centres.items()]
-        if told:
+        untold = [one.name for one in fit.values if one.kind == kind and not one.told]
+        if told or untold:
             lines += ["", f"[{kind}]"]
         for one in told:
             value = max(one.value, _LEAST.get(kind, one.value))
             lines.append(f"{one.name} = {value:.5f}  {_interval(one, unit)}")
+        lines += [f"# {name}: not determined by the sessions" for name in untold]
     return "\n".join(lines) + "\n"
 
 
@@ -559,6 +566,7 @@ def _render(fit: Fit) -> str:
             f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
             f"{1e3 * (lag.value - lag.low):.2f}",
             *(["?       the sessions do not determine this value"] if untold else []),
+            "units   damping N·m·s/rad, friction N·m, armature kg·m²; +-: half the 95 % interval",
             "",
             *table(rows, left=(0,)),
             "",

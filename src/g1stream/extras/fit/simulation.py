@@ -68,7 +68,7 @@ def world_support(recorded: Recorded, support: str | None = None) -> Support:
     if support is None:
         raise ConfigError(
             f"{recorded.name} does not contain how the robot was held.",
-            "Give --support bolted, hanging, follow or free.",
+            "Give --support bolted, hanging, follow, free or feet.",
         )
     known = get_args(StreamSupport)
     if support not in known:

@@ -202,11 +202,11 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
                 values[name], origin[name] = value, facts.where
     where = f"the policy {path}"
     terms = [_term(one, where) for one in values.get("terms", [])]
-    twice = [name for name, n in Counter(term.name for term in terms).items() if n > 1]
-    if twice:
+    counts = Counter(term.name for term in terms)
+    if twice := [term.named for term in terms if counts[term.name] > 1]:
         raise ConfigError(
-            f"The observation of {where} has {listed(twice)} twice.",
-            "Give each term once; a history beside the present values is not supported.",
+            f"The observation of {where} has one term several times: {listed(twice)}.",
+            "Give each term once, with its history if it has one.",
         )
     uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
     needed = [name for name in _LINES if name != "anchor" or uses_anchor]
@@ -237,7 +237,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         raise _wrong("clip, lag", f"{clip:g}, {lag:g}", where, "at least 0, and 0 to 9")
     history_start = values.get("history_start", "first step")
     if str(history_start) not in _HISTORY_STARTS:
-        raise _wrong("history_start", history_start, where, " or ".join(_HISTORY_STARTS))
+        raise _wrong("history_start", history_start, where, " or ".join(map(repr, _HISTORY_STARTS)))
     return PolicyContract(
         path=str(path),
         rate=rate,
@@ -299,7 +299,10 @@ def _of_toml(path: Path) -> dict[str, Any]:
                 f"In {path}, terms is not a list of tables.", f"Write {_LINES['terms']}."
             )
         if extra := sorted({key for term in terms for key in term} - set(_TERM_KEYS)):
-            raise ConfigError(f"A term in {path} has {listed(extra)}.", f"Write {_LINES['terms']}.")
+            raise ConfigError(
+                f"A term in {path} has the unknown keys {listed(extra)}.",
+                f"Choose from {', '.join(_TERM_KEYS)}.",
+            )
     return values
 
 
@@ -313,9 +316,9 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
     names = split("observation_names") or []
     lengths: list[Any] = split("observation_history_lengths") or ["1"] * len(names)
     if len(lengths) == len(names):
-        lengths = [max(1.0, float(length)) for length in lengths]
-    else:
-        lengths = [metadata["observation_history_lengths"]] * len(names)  # which is refused
+        lengths = [_history(one) for one in lengths]
+    else:  # which is refused
+        lengths = [f"{','.join(lengths)} for {len(names)} terms"] * len(names)
     return {
         "joint_names": split("joint_names"),
         "default_pos": split("default_joint_pos"),
@@ -331,6 +334,14 @@ def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
         ],
         "anchor": metadata.get("anchor_body_name") or None,
     }
+
+
+def _history(text: str) -> float | str:
+    """The steps of a term in metadata, where 0 means one; a text that is no number as it is."""
+    try:
+        return float(text) or 1.0
+    except ValueError:
+        return text
 
 
 def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
@@ -462,7 +473,7 @@ def _term(given: Mapping[str, Any], where: str) -> Term:
             "Give one scale, or a scale for each value.",
         )
     if isinstance(history, bool) or history not in range(1, _MOST_STEPS + 1):
-        raise _wrong(f"history of {named}", history, where, f"1 to {_MOST_STEPS} steps")
+        raise _wrong(f"history of {named}", history, where, f"a number from 1 to {_MOST_STEPS}")
     return Term(
         name=name,
         named=named,
@@ -485,7 +496,7 @@ def _number(value: Any, name: str, where: str) -> float:
 
 def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
     return ConfigError(
-        f"In {where}, {name} is {str(value)[:60]}.",
+        f"In {where}, {name} is {(repr if isinstance(value, str) else str)(value)[:60]}.",
         f"It must be {valid}. A TOML file beside the policy overrides it.",
     )
 
@@ -568,20 +579,27 @@ def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
     total = sum(term.size for term in terms)
     if total == network.width:
         return
-    own = {term.name: term.size for term in terms}
-    history = max((term.history for term in terms), default=1)
-    others = {name: history * one.size for name, one in TERMS.items() if name not in own}
-    sizes = others if total < network.width else own
+    lacking = network.width - total
+    sizes = {term.name: term.size for term in terms}
+    if lacking > 0:
+        sizes = {name: one.size for name, one in TERMS.items() if name not in sizes}
     fitting = [
         " and ".join(some)
         for number in (1, 2)
         for some in combinations(sizes, number)
-        if sum(sizes[name] for name in some) == abs(network.width - total)
+        if sum(sizes[name] for name in some) == abs(lacking)
     ]
-    guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
+    histories = []
+    for term in terms:
+        more, rest = divmod(lacking, term.size // term.history)
+        if not rest and 1 <= term.history + more <= _MOST_STEPS:
+            histories.append(f"{term.named} {term.history + more}")
     steps, rest = divmod(network.width, total or network.width + 1)
-    if history == 1 and not rest and 1 < steps <= _MOST_STEPS:
-        guess += f" With history = {steps} in each term they are as wide, too."
+    if not rest and 1 < steps <= _MOST_STEPS:
+        histories.append(f"each term {steps} times as many")
+    guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
+    if histories and (not fitting or any(term.history > 1 for term in terms)):
+        guess += f" Or steps of history: {listed(histories, 4)}."
     raise ConfigError(
         f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",

@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,7 +37,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from tracking_peers import PEERS, SIMULATORS, missing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from g1stream import Motion, Session
 
@@ -178,25 +179,24 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for name in [args.simulator] if args.simulator else SIMULATORS:
             own, bag = folder / f"own-{name}.mcap", folder / f"bag-{name}.mcap"
+            rows: dict[Path, Callable[[], dict[str, Any]]]
             if args.policy:
                 reason = record_policy(name, args, own, bag)
                 print(f"{name}: ended {reason or 'as asked'}", flush=True)
+                rows = {bag: partial(policy_row, own, bag, args.motion)}
             else:
                 motion = example_motion(args.seconds - 5.0)  # with its start and discovery
                 run_example(name, args.seconds, ours(own))
                 run_example(name, args.seconds, other(bag))
-            for recording in (bag,) if args.policy else (own, bag):
+                rows = {path: partial(example_row, path, motion) for path in (own, bag)}
+            for path, row_of in rows.items():
                 try:
-                    row = (
-                        policy_row(own, bag, args.motion)
-                        if args.policy
-                        else example_row(recording, motion)
-                    )
+                    row = row_of()
                 except G1StreamError as error:
-                    print(f"{recording.stem}: not found: {error}")
+                    print(f"{path.stem}: not found: {error}")
                     continue
                 text = ", ".join(f"{key} {value}" for key, value in row.items())
-                print(f"{recording.stem}: {text}", flush=True)
+                print(f"{path.stem}: {text}", flush=True)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from g1stream.analysis.tracking import rms
 from g1stream.app.session import open_session
 from g1stream.errors import G1StreamError
 from g1stream.extras.fit.excite import exciting_motion
@@ -93,8 +94,7 @@ def errors(path: Path) -> tuple[float, float]:
         tracking = open_session(path).tracking()
     except G1StreamError:
         return np.nan, np.nan
-    rms = np.sqrt(np.square(tracking.error).mean(axis=1))
-    return tracking.overall, float(np.median(rms))
+    return tracking.overall, float(np.median(rms(tracking.error.T)))
 
 
 def main() -> None:

@@ -111,7 +111,6 @@ def test_joints_that_differ_and_why(other):
     (viscous,) = (one for one in found.joints["left_elbow_joint"].causes if "viscous" in one.name)
     assert viscous.amount == pytest.approx(0.35, abs=0.15)
     assert found.delay_s == pytest.approx(0.008)
-    assert found.delay_s == pytest.approx(0.008)
 
 
 def test_with_its_parameters_it_does_not_differ(other, params):

@@ -407,10 +407,12 @@ def _render(found: Gap) -> str:
         cells = [f"{value:.{digits}f}" for value, digits in figures]
         rows.append((name.removesuffix("_joint"), *cells))
     lines = table(rows, left=(0,)) if shown else []
-    delay = found.delay_s or 0.0
-    late = (
-        f"  delay  commands act {1e3 * abs(delay):.0f} ms {'later' if delay > 0.0 else 'earlier'} "
-    )
+    delay, notes = found.delay_s or 0.0, list[str]()
+    if abs(delay) > _ON_TIME:
+        when = f"{1e3 * abs(delay):.0f} ms {'later' if delay > 0.0 else 'earlier'}"
+        notes.append(f"  delay  commands act {when} than in the simulator, at all joints")
+    if found.q_rad > _FAR:
+        notes.append(labelled("         ", _FAR_OFF))
     meaning = (
         "+: the robot has more than the simulator. In brackets the share of the difference that "
         "this explains. These are hints; `g1stream fit` measures."
@@ -425,8 +427,7 @@ def _render(found: Gap) -> str:
             f"  gap    {1e3 * found.q_rad:.2f} mrad RMS of all joints, without noise",
             f"         {len(shown)} joints differ by more than {1e3 * _DIFFERS:g} mrad and twice "
             f"the noise, {alike} do not",
-            *([f"{late}than in the simulator, at all joints"] if abs(delay) > _ON_TIME else []),
-            *([labelled("         ", _FAR_OFF)] if found.q_rad > _FAR else []),
+            *notes,
             "",
             *lines,
             *([""] if shown else []),

@@ -19,7 +19,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from g1stream.app.session import Session, open_session
-from g1stream.errors import ConfigError, RecordingError
+from g1stream.errors import RecordingError
 from g1stream.extras.fit.gap import compare, motor_torque, robot_of, torque_delay
 from g1stream.extras.fit.recorded import Recorded, noise_of
 from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
@@ -244,12 +244,7 @@ def fit_parameters(
 
 
 def _held(recorded: Recorded, support: str | None) -> Support:
-    if support is None and recorded.support is None:
-        raise ConfigError(
-            f"{recorded.name} does not contain how the robot was held.",
-            "Give --support bolted or hanging.",
-        )
-    held = world_support(recorded, support)
+    held = world_support(recorded, support, ("bolted", "hanging"))
     if held == "free":
         raise RecordingError(
             f"{recorded.name} is of a robot on its feet, with unknown contact forces.",

@@ -15,7 +15,7 @@ class Simulate(SettingsCommand, QuietFlag):
 
     Each window begins with the measured state, so that differences do not accumulate. For each
     joint it prints the difference in position, velocity and torque, the noise of the session, and
-    the causes: friction, inertia, weight, lag, backlash, saturation. With --out it writes the
+    the causes: friction, inertia, weight, backlash, saturation. With --out it writes the
     session with the simulated joints, which plots and reports then show.
 
     Examples:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, cast, get_args
 
@@ -18,6 +18,7 @@ from g1stream.types import Floats, StreamSupport, Support
 
 __all__ = ["Simulated", "simulate_commands", "world_support"]
 
+_SUPPORTS: Final[tuple[str, ...]] = get_args(StreamSupport)
 #: Step of the physics, s, as in the embedded simulator at 500 Hz.
 _TIMESTEP: Final = 1e-3
 #: Number of samples on both sides for the cubic that gives the initial state of a window.
@@ -50,7 +51,9 @@ class Simulated:
     spread: Floats
 
 
-def world_support(recorded: Recorded, support: str | None = None) -> Support:
+def world_support(
+    recorded: Recorded, support: str | None = None, usable: Sequence[str] = _SUPPORTS
+) -> Support:
     """How the base of the simulated robot is held.
 
     A bolted robot is bolted. A hanging one hangs from the band of the embedded simulator, which
@@ -60,6 +63,7 @@ def world_support(recorded: Recorded, support: str | None = None) -> Support:
     Args:
         recorded: the recording.
         support: support of the robot; as recorded if None.
+        usable: supports to name if it is unknown.
 
     Raises:
         ConfigError: the session does not contain the support, or not the pelvis's place.
@@ -68,11 +72,10 @@ def world_support(recorded: Recorded, support: str | None = None) -> Support:
     if support is None:
         raise ConfigError(
             f"{recorded.name} does not contain how the robot was held.",
-            "Give --support bolted, hanging, follow, free or feet.",
+            f"Give --support {', '.join(usable[:-1])} or {usable[-1]}.",
         )
-    known = get_args(StreamSupport)
-    if support not in known:
-        raise ConfigError(f"There is no support {support!r}.", f"Use {', '.join(known)}.")
+    if support not in _SUPPORTS:
+        raise ConfigError(f"There is no support {support!r}.", f"Use {', '.join(_SUPPORTS)}.")
     held = cast("Support", "free" if support == "feet" else support)
     if held in ("follow", "free") and recorded.base_pos is None:
         raise ConfigError(

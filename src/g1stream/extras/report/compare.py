@@ -209,9 +209,7 @@ def compare(
     if stop - start < _SHORTEST:
         raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
     found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
-    observed = [[steps for run in side if (steps := _observed(run, start, stop))] for side in sides]
-    if list(map(len, observed)) != list(map(len, sides)):
-        observed = []
+    observed = _observed(sides, start, stop)
     comparison = Comparison(
         motion=runs[0].motion,
         base=[run.path for run in sides[0]],
@@ -360,19 +358,25 @@ class _Observed(NamedTuple):
     values: dict[str, NDArray[Any]]
 
 
-def _observed(run: _Run, start: float, stop: float) -> _Observed | None:
-    """The steps of a policy in a part of the motion; None without a policy or a step."""
-    session = _opened(run.source)
-    steps, info = session.policy, session.policy_info
-    if steps is None or info is None:
-        return None
-    tracked = session.tracking()
-    at = np.interp(steps.time, tracked.time, tracked.motion_time, -np.inf, np.inf)
-    rows = np.flatnonzero((at >= start) & (at <= stop) & np.isfinite(steps.action).all(axis=1))
-    if not len(rows):
-        return None
-    values = {name: steps.observation[rows, of] for name, of in info.newest.items()}
-    return _Observed(at[rows], values | {"action": steps.action[rows]})
+def _observed(sides: Sequence[Sequence[_Run]], start: float, stop: float) -> list[list[_Observed]]:
+    """The steps of policies in a part of the motion; empty if a session has none there."""
+    found: list[list[_Observed]] = []
+    for side in sides:
+        found.append([])
+        for run in side:
+            session = _opened(run.source)
+            steps, info = session.policy, session.policy_info
+            if steps is None or info is None:
+                return []
+            tracked = session.tracking()
+            at = np.interp(steps.time, tracked.time, tracked.motion_time, -np.inf, np.inf)
+            inside = (at >= start) & (at <= stop) & np.isfinite(steps.action).all(axis=1)
+            if not inside.any():
+                return []
+            rows = np.flatnonzero(inside)
+            values = {name: steps.observation[rows, of] for name, of in info.newest.items()}
+            found[-1].append(_Observed(at[rows], values | {"action": steps.action[rows]}))
+    return found
 
 
 def _terms(sides: Sequence[Sequence[_Observed]]) -> dict[str, Difference]:

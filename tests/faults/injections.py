@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from engine import ENVIRONMENT, Session, sway, write_motion
 from g1 import JOINTS
 
@@ -37,41 +36,16 @@ def flags(*words: str) -> Prepare:
     return lambda session: words
 
 
-def motion(change: Callable[[Any], Any], *words: str) -> Prepare:
-    """The motion changed before it is written; more arguments of the command."""
+def cell(value: Any, *words: str) -> Prepare:
+    """One cell of the motion file changed; more arguments of the command."""
 
     def prepare(session: Session) -> Sequence[str]:
         joints = sway().astype(object)
-        write_motion(session.motion, change(joints))
+        joints[30, KNEE] = value
+        write_motion(session.motion, joints)
         return words
 
     return prepare
-
-
-def cell(value: Any, *words: str) -> Prepare:
-    """One cell of the motion file changed."""
-
-    def change(joints: Any) -> Any:
-        joints[30, KNEE] = value
-        return joints
-
-    return motion(change, *words)
-
-
-def bytes_of(data: bytes) -> Prepare:
-    """These bytes as the motion file."""
-
-    def prepare(session: Session) -> Sequence[str]:
-        session.motion.write_bytes(data)
-        return []
-
-    return prepare
-
-
-def fast(joints: Any) -> Any:
-    t = np.arange(len(joints)) / 30
-    joints[:, ELBOW] = np.round(0.5 - 0.5 * np.cos(2 * np.pi * 13 * t), 6)
-    return joints
 
 
 def settings(text: str) -> Prepare:

@@ -39,8 +39,8 @@ class Robot:
     """
 
     DO: Final = (
-        *("silent", "zeros", "bad_crc", "no_crc", "frozen_tick", "frozen_content"),
-        *("stuck", "jam", "leap", "restart", "twin", "rogue", "seldom", "tick_back", "deaf"),
+        *("silent", "zeros", "bad_crc", "no_crc", "frozen_content"),
+        *("jam", "leap", "restart", "twin", "rogue", "seldom"),
     )
     #: q, dq, tau, kp and kd (5, 29) of the robot's own controller.
     OWN: Final = np.repeat([[0.0], [0.0], [0.0], [60.0], [1.0]], 29, axis=1)
@@ -121,8 +121,6 @@ class Robot:
         dt = PERIOD / 1e9
         damping = 1.0 + dt * friction / self.inertia
         self.dq = (self.dq + dt * self.tau / self.inertia) / damping
-        if "stuck" in doing:
-            self.dq[:] = 0.0
         if "jam" in doing:
             self.dq[doing["jam"]["joint"]] = 0.0
         self.q = self.q + dt * self.dq
@@ -132,10 +130,7 @@ class Robot:
 
     def publish(self, faults: list[dict[str, Any]], doing: dict[str, dict[str, Any]]) -> None:
         state = self.state
-        if "frozen_tick" not in doing:
-            state["tick"] = (time.monotonic_ns() - self.tick_zero) // _BIT_OF_TICK
-        if "tick_back" in doing:
-            state["tick"] -= 100
+        state["tick"] = (time.monotonic_ns() - self.tick_zero) // _BIT_OF_TICK
         motor = state["motor"]
         if "frozen_content" not in doing:
             motor["q"][:29] = self.q + self.rng.normal(0.0, 1e-5, 29)
@@ -189,8 +184,7 @@ class Robot:
             last = now
             faults = self.active()
             doing = {fault["do"]: fault for fault in faults if "do" in fault}
-            if "deaf" not in doing:
-                self.receive()
+            self.receive()
             if doing.get("restart", {}).get("new"):
                 self.restart()
             self.move(doing)

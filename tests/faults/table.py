@@ -12,7 +12,6 @@ import signal
 from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from engine import Fault, Session
 from injections import (
     ELBOW,
@@ -20,14 +19,11 @@ from injections import (
     WRIST,
     another_stream,
     broken_writer,
-    bytes_of,
     cell,
     clock,
     close_terminal,
-    fast,
     flags,
     hogs,
-    motion,
     network,
     no_guard_from_the_start,
     no_priority,
@@ -95,19 +91,7 @@ STATES: Final = [
         ends=False,
         record="complete",
     ),
-    Fault("q is NaN", "LowState", says(f"motor.q.{KNEE}", NAN), reason="NaN"),
-    Fault("quaternion is NaN", "LowState", says("imu.quaternion.0", NAN), reason="NaN"),
-    Fault("dq is infinite", "LowState", says(f"motor.dq.{KNEE}", inf), reason="infinite"),
-    Fault("torque is NaN", "LowState", says(f"motor.tau_est.{KNEE}", NAN), reason="NaN"),
-    Fault("gyroscope is NaN", "LowState", says("imu.gyroscope.2", NAN), reason="gyroscope"),
-    Fault(
-        "accelerometer is infinite", "LowState", says("imu.accelerometer.2", inf), reason="infinite"
-    ),
     Fault("q is NaN in one state of 50", "LowState", says(f"motor.q.{KNEE}", NAN, every=50)),
-    Fault("quaternion is zero", "LowState", says("imu.quaternion", [0.0] * 4), reason="quaternion"),
-    Fault(
-        "quaternion of norm 0.9", "LowState", says("imu.quaternion", [0.9, 0, 0, 0]), reason="norm"
-    ),
     Fault("all LowStates are zero", "LowState", [{"do": "zeros"}], sent=False),
     Fault(
         "wrong CRC in every LowState",
@@ -138,9 +122,6 @@ STATES: Final = [
         reason="safety.limit_excess",
     ),
     Fault(
-        "knee of 100 rad", "LowState", says(f"motor.q.{KNEE}", 100.0), reason="safety.limit_excess"
-    ),
-    Fault(
         "knee of 100 rad in one state of 50",
         "LowState",
         says(f"motor.q.{KNEE}", 100.0, every=50),
@@ -155,7 +136,6 @@ STATES: Final = [
         ends=False,
         record="complete",
     ),
-    Fault("tick goes back", "LowState", does("tick_back"), reason="tick"),
     Fault(
         "no LowState for 0.05 s, again and again",
         "LowState",
@@ -164,7 +144,6 @@ STATES: Final = [
         ends=False,
         record="complete",
     ),
-    Fault("tick frozen", "LowState", does("frozen_tick"), reason="safety.frozen_timeout"),
     Fault("content frozen", "LowState", does("frozen_content"), reason="safety.frozen_timeout"),
     Fault(
         "content frozen from the start",
@@ -177,7 +156,6 @@ STATES: Final = [
         "LowState at 5 Hz", "LowState", [{"do": "seldom"}], sent=False, reason="LowState arrives"
     ),
     Fault("simulator starts again", "LowState", does("restart"), reason="publisher"),
-    Fault("mode_machine changes", "LowState", says("mode_machine", 4), reason="mode_machine"),
     Fault(
         "mode_machine of another robot",
         "LowState",
@@ -185,15 +163,6 @@ STATES: Final = [
         reason="mode_machine",
         sent=False,
     ),
-    Fault(
-        "two publishers of LowState from the start",
-        "LowState",
-        from_start(does("twin")),
-        code=2,
-        reason="rt/lowstate",
-        sent=False,
-    ),
-    Fault("second publisher of LowState", "LowState", does("twin"), reason="publisher"),
     Fault(
         "second publisher of LowState at 2 Hz from the start",
         "LowState",
@@ -209,15 +178,6 @@ STATES: Final = [
         reason="publisher",
     ),
     Fault("no robot", "LowState", [{"do": "silent"}], sent=False, reason="no LowState"),
-    Fault(
-        "another publisher of LowCmd from the start",
-        "LowState",
-        [{"do": "rogue"}],
-        code=2,
-        sent=False,
-        reason="rt/lowcmd",
-    ),
-    Fault("second publisher of LowCmd", "LowState", does("rogue"), reason="rt/lowcmd"),
     Fault(
         "publisher of LowCmd that poses as a guard from the start",
         "LowState",
@@ -241,23 +201,9 @@ STATES: Final = [
     ),
 ]
 
-# The thresholds of robot.toml; on loopback they wait for a simulator that gets no CPU time.
+# The threshold of robot.toml; on loopback it waits for a simulator that gets no CPU time.
 JAM: Final = "[safety]\njam_time = 0.5\njam_motion = 0.3\n"
-LAG: Final = "[safety]\nmax_tracking_error = 0.3\ntracking_time = 0.5\n"
 ROBOT: Final = [
-    Fault(
-        "pelvis tilts by 1.2 rad",
-        "robot",
-        says("imu.quaternion", [0.825, 0, 0.565, 0]),
-        reason="safety.max_tilt",
-        record="complete",
-    ),
-    Fault(
-        "pelvis is upside down",
-        "robot",
-        says("imu.quaternion", [0, 1, 0, 0]),
-        reason="safety.max_tilt",
-    ),
     Fault(
         "pelvis tilts in one state of 50",
         "robot",
@@ -272,24 +218,11 @@ ROBOT: Final = [
         sent=False,
     ),
     Fault(
-        "joint at 80 rad/s",
-        "robot",
-        says(f"motor.dq.{KNEE}", 80.0),
-        reason="80.0 rad/s",
-    ),
-    *(
-        Fault(name, "robot", robot, prepare=settings(JAM), reason="safety.jam_motion")
-        for name, robot in (
-            ("robot never moves", from_start(does("stuck"))),
-            ("one joint jams", does("jam", joint=ELBOW)),
-        )
-    ),
-    Fault(
-        "one joint lags",
+        "one joint jams",
         "robot",
         does("jam", joint=ELBOW),
-        prepare=settings(LAG),
-        reason="safety.max_tracking_error",
+        prepare=settings(JAM),
+        reason="safety.jam_motion",
     ),
     Fault(
         "a wrist says 55 rad/s in one state of 50",
@@ -298,25 +231,12 @@ ROBOT: Final = [
         reason="55.0 rad/s",
     ),
     Fault(
-        "a joint leaps by 1 rad",
-        "robot",
-        does("leap", joint=KNEE, by=1.0),
-        reason="safety.max_leap",
-    ),
-    Fault(
         "a joint leaps by 1 rad, again and again",
         "robot",
         [one for k in range(4) for one in does("leap", at=0.8 + k / 10, joint=KNEE, by=1.0)],
         reason="safety.max_leap",
     ),
-    Fault("all motors off", "robot", says("motor.mode.*", 0), reason="safety.motor_fault_time"),
     Fault("one motor off", "robot", says(f"motor.mode.{KNEE}", 0), reason="left_knee_joint"),
-    Fault(
-        "motor loses its controller",
-        "robot",
-        says(f"motor.motorstate.{ELBOW}", 0x40000000),
-        reason="lost the connection",
-    ),
     Fault(
         "motorstate bit for 0.02 s",
         "robot",
@@ -325,28 +245,10 @@ ROBOT: Final = [
         ends=False,
     ),
     Fault(
-        "casing at 120 C",
-        "robot",
-        says(f"motor.temperature.{KNEE}", [120, 40]),
-        reason="safety.max_casing_temperature",
-    ),
-    Fault(
-        "motorstate bit",
-        "robot",
-        says(f"motor.motorstate.{KNEE}", 4),
-        reason="safety.motor_fault_mask",
-    ),
-    Fault(
         "winding at 150 C",
         "robot",
         says(f"motor.temperature.{KNEE}", [40, 150]),
         reason="safety.max_winding_temperature",
-    ),
-    Fault(
-        "voltage drops to 20 V",
-        "robot",
-        [{"set": {"motor.vol.*": 50}}, *says("motor.vol.*", 20.0)],
-        reason="safety.min_voltage",
     ),
     Fault(
         "torque of 300 N·m",
@@ -360,7 +262,6 @@ ROBOT: Final = [
         [{"at": AT, "set": buttons(L2, B)}],
         reason="safety.stop_buttons",
     ),
-    Fault("stop button select", "robot", [{"at": AT, "set": buttons(SELECT)}], reason="select"),
     Fault(
         "starts 2 rad from the first frame",
         "robot",
@@ -400,16 +301,7 @@ def _arms(name: str, robot: list[dict[str, Any]] | None = None, **more: Any) -> 
 ARMS: Final = [
     _arms("the motion ends", code=0, ends=False, record="complete"),
     _arms("no LowState any more", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
-    _arms("q is NaN", says(f"motor.q.{ELBOW}", NAN), reason="NaN"),
     _arms("the elbow jams", does("jam", joint=ELBOW), prepare=settings(JAM), reason="jam_motion"),
-    _arms(
-        "content frozen from the start",
-        from_start(does("frozen_content")),
-        reason="safety.frozen_timeout",
-    ),
-    _arms("mode_machine changes", says("mode_machine", 4), reason="mode_machine"),
-    _arms("pelvis is upside down", says("imu.quaternion", [0, 1, 0, 0]), reason="safety.max_tilt"),
-    _arms("torque of 300 N·m", says(f"motor.tau_est.{ELBOW}", 300.0), reason="safety.max_torque"),
     _arms("guard is killed", act=to_guard(signal.SIGKILL), reason="guard"),
     _arms(
         "commands can no longer be written",
@@ -455,21 +347,9 @@ def _refused(name: str, prepare: Callable[[Session], Sequence[str]], **more: Any
 
 INPUTS: Final = [
     _refused("URDF with wider limits", wide_urdf, reason="left_knee_joint"),
-    _refused("CSV in degrees", motion(lambda q: q * (180 / np.pi))),
     _refused("spike of 2.4 rad", cell("2.4"), reason="left_knee_joint"),
-    _refused("joint faster than its limit", motion(fast), reason="right_elbow_joint"),
-    _refused("cell of NaN", cell("nan")),
-    _refused("damaged session file", bytes_of(b"\x89MCAP0\r\n" + bytes(range(256)) * 40)),
-    _refused("gain of NaN", settings("[gains.kd]\n'*' = nan\n")),
     _refused("state_timeout of an hour", settings("[safety]\nstate_timeout = 3600.0\n")),
-    _refused("empty file", bytes_of(b"")),
-    _refused("binary file", bytes_of(bytes(range(256)) * 40)),
-    _refused("no TOML", settings("[safety\n")),
-    _refused("unknown setting", settings("[safety]\nmax_tillt = 1.0\n"), reason="max_tillt"),
-    _refused("rate of NaN", flags("--rate", "nan")),
     _refused("unknown interface", flags("--interface", "nowhere0"), reason="nowhere0"),
-    _refused("unknown robot", flags("--robot", "g2"), reason="g2"),
-    _refused("part beyond the motion", flags("--start", "100"), reason="--start"),
     _refused("file to record is a symbolic link", symlink, record="any"),
     _refused("file to record is in /proc", lambda s: ["--record", "/proc/x.mcap"]),
 ]
@@ -495,8 +375,7 @@ def ends_by(number: signal.Signals) -> Fault:
 
 SIGNALS: Final = [
     # One handler is of all that can be handled: tests/cli/test_command.py has the others.
-    *map(ends_by, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)),
-    *map(ends_by, (signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT)),
+    *map(ends_by, (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP)),
     Fault("Ctrl-C twice", "signals", act=twice, code=130, record="complete"),
     Fault("Ctrl-C in RAMP", "signals", act=send(signal.SIGINT), at=0.0, code=130, reason="SIGINT"),
     Fault(
@@ -532,7 +411,6 @@ SIGNALS: Final = [
         )
         for name, act, code in (
             ("SIGKILL", send(signal.SIGKILL), -9),
-            ("SIGSEGV", send(signal.SIGSEGV), -11),
             ("SIGSTOP and never continued", stop(1.5, then=signal.SIGKILL), -9),
         )
     ),
@@ -736,20 +614,6 @@ POLICY: Final = [
                 "stands",
                 (),
                 {"act": send(signal.SIGINT), "code": 130, "reason": "SIGINT"},
-            ),
-            ("Ctrl-C twice while a policy plays", "stands", (), {"act": twice, "code": 130}),
-            (
-                "SIGKILL while a policy plays",
-                "stands",
-                (),
-                {
-                    "act": send(signal.SIGKILL),
-                    "code": -9,
-                    "reason": "guard",
-                    "mute": True,
-                    "handover_ms": HANDOVER,
-                    "alone": True,
-                },
             ),
             (
                 "SIGSTOP while a policy plays",

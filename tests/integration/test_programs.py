@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -35,7 +33,6 @@ pytestmark = pytest.mark.alone
 
 RAMP = 0.5
 PLAY = 2.0
-PLAYING = "RAMP -> PLAY"
 
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
@@ -50,15 +47,6 @@ def stream_arguments(domain_id: int, *more: object) -> list[object]:
 def run(arguments: list[object], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
-
-
-def wait_for(process: subprocess.Popen[str], text: str) -> None:
-    """Until the process says `text` on standard error; its own time limits end it otherwise."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if text in line:
-            return
-    pytest.fail(f"the process ended without saying {text!r}")
 
 
 def times(path: Path) -> dict[str, np.ndarray[Any, Any]]:
@@ -170,22 +158,6 @@ def test_damping_ends_every_session(played):
     assert (last.kd > 0).all()
 
 
-def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, running, tmp_path):
-    with (
-        running("sim", "--domain", domain_id),
-        running(*stream_arguments(domain_id, "--loop", "--record", tmp_path / "a.mcap")) as first,
-    ):
-        wait_for(first, PLAYING)
-        second = run(stream_arguments(domain_id))
-        assert second.returncode == 2
-        assert f"pid {first.pid} " in second.stderr
-        assert "rt/lowcmd" in second.stderr
-        assert first.poll() is None
-        first.send_signal(signal.SIGINT)
-        printed, _ = first.communicate(timeout=20)
-        assert "SIGINT" in printed
-
-
 def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):
     where = ["--domain", domain_id, "--out", tmp_path / "d"]
     done = run(["demo", "--config", PATIENT, "--duration", 2, *where])
@@ -226,42 +198,3 @@ def test_a_recorder_is_nobody_to_play_to(domain_id, tmp_path):
     assert done.returncode == 1
     assert "no subscriber on rt/lowcmd" in done.stdout
     assert "/lowcmd" not in times(tmp_path / "void.mcap")
-
-
-def recorder_of(stream: subprocess.Popen[str]) -> int:
-    """The pid of a stream's recorder."""
-    for task in Path(f"/proc/{stream.pid}/task").iterdir():
-        for pid in (task / "children").read_text().split():
-            if "g1stream.app.record" in Path(f"/proc/{pid}/cmdline").read_text():
-                return int(pid)
-    pytest.fail("no recorder")
-
-
-@pytest.mark.parametrize(
-    ("fault", "why"),
-    [
-        (lambda pid, path: os.kill(pid, signal.SIGTERM), "SIGTERM"),
-        (lambda pid, path: os.kill(pid, signal.SIGSTOP), "stopped"),
-        (lambda pid, path: (path.rename(f"{path}.old"), path.write_bytes(b"")), "replaced"),
-    ],
-    ids=["SIGTERM", "SIGSTOP", "replaced"],
-)
-def test_a_recorder_that_fails_is_told_while_the_motion_is_played_to_its_end(
-    domain_id, running, tmp_path, fault, why
-):
-    path = tmp_path / "s.mcap"
-    with (
-        running("sim", "--domain", domain_id),
-        running(*stream_arguments(domain_id, "--duration", 3, "--record", path)) as stream,
-    ):
-        wait_for(stream, PLAYING)
-        fault(recorder_of(stream), path)
-        wait_for(stream, "the recording failed")
-        wait_for(stream, "PLAY -> HOLD")
-        printed, _ = stream.communicate(timeout=30)
-    assert stream.returncode == 1
-    assert "played 3.0 of 14.0 s" in printed
-    if why == "replaced":
-        assert not path.stat().st_size
-    else:
-        assert why in open_session(path).summary().recorder.stopped

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -28,7 +28,7 @@ from g1stream.text import counted
 from g1stream.types import MotionFormat, Velocities
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
@@ -181,21 +181,6 @@ class Convert(MotionPartFlags, QuietFlag):
         except _StoppedError as stopped:
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
-
-    def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
-        """Read one or more motions and join them; the warnings name what was assumed, too."""
-        return self.join([self._read(one, robot) for one in motions], robot)
-
-    def _read(self, path: str, robot: G1 | None) -> Motion:
-        file = self.find(path, robot)
-        reader = file.open()
-        evidence, motion = reader.evidence, reader.motion()
-        notes = (
-            f"{file.path.name}: {subject}: {text}."
-            for subject, text in evidence.assumptions.items()
-            if not any(evidence.assumed[subject] in told for told in motion.warnings)
-        )
-        return replace(motion, warnings=(*motion.warnings, *notes))
 
     def _require(self, flags: set[str], what: str) -> None:
         other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]

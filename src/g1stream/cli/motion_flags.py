@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -69,13 +69,26 @@ class MotionFlags(Command):
     def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
         """Read one or more motions, and join them, for a robot.
 
+        The warnings of the motion also name what was assumed.
+
         Raises:
             ConfigError: a flag does not fit.
             MotionError: a file is no motion, or the requested change is not possible.
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
-        return self.join([self.find(one, robot).open().motion() for one in motions], robot)
+        return self.join([self._read(one, robot) for one in motions], robot)
+
+    def _read(self, path: str, robot: G1 | None) -> Motion:
+        file = self.find(path, robot)
+        reader = file.open()
+        evidence, motion = reader.evidence, reader.motion()
+        notes = (
+            f"{file.path.name}: {subject}: {text}."
+            for subject, text in evidence.assumptions.items()
+            if not any(evidence.assumed[subject] in told for told in motion.warnings)
+        )
+        return replace(motion, warnings=(*motion.warnings, *notes))
 
     def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
         """A motion file, with the flags that say how to read it."""

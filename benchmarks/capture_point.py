@@ -7,8 +7,8 @@ The capture point is c + c' sqrt(h / g), with c the centre of mass and h its hei
 al., "Capture point: a step toward humanoid push recovery", 2006). In a dance it leaves the soles
 with every step, so it is compared with that of the reference, both from the pelvis. The table has
 the largest distance between the two up to 1 s before a fall, or to the end without one, and when it
-exceeded some distances. A fall is a tilt of 0.6 rad against the reference, as in a stream, or a
-pelvis 0.3 m too low.
+exceeded some distances. A fall is 0.9 of the tilt that ends a stream, 0.6 rad against the
+reference, or a pelvis 0.3 m too low.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def row(path: Path) -> str:
     def first(when: np.ndarray) -> str:
         return f"{time[when.argmax()]:.2f}" if when.any() else "-"
 
-    falls = (tilt > TILTED) | (low > LOW)
+    falls = (tilt > 0.9 * TILTED) | (low > LOW)
     before = time < time[falls.argmax()] - 1.0 if falls.any() else np.ones(len(time), bool)
     figures = [first(falls), f"{apart[before].max(initial=0.0):.3f}"]
     figures += [first(apart > distance) for distance in DISTANCES]

@@ -305,7 +305,6 @@ def _tridiagonal_solver(lower: Floats, middle: Floats, upper: Floats) -> Callabl
 
     It uses cyclic reduction. Each step expresses every second unknown by its neighbours, all at
     once, which halves the system. `lower[0]` and `upper[-1]` are not used.
-    system, all at once. `lower[0]` and `upper[-1]` have no neighbour and are not used.
 
     Args:
         lower: (N, K, K).

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import g1stream
-from g1stream.errors import MotionError, RecordingError
+from g1stream.errors import MotionError
 from g1stream.motion.arrays import names_in_order, read_arrays
 from g1stream.motion.readers import find_motion
 from g1stream.robot.kinematics import forward_kinematics
@@ -81,14 +81,9 @@ def assert_same(found, motion, *, tolerance=0.0, root=True):
         np.testing.assert_allclose(alike, 1.0, rtol=0, atol=1e-6)
 
 
-def test_isaaclab_order_is_breadth_first():
-    names = names_in_order("isaaclab")
-    assert [names.index(name) for name in g1stream.JOINT_NAMES] == ISAACLAB
-    assert names_in_order("motor") == g1stream.JOINT_NAMES
-
-
-@pytest.mark.parametrize("order", ["motor", "isaaclab"])
-@pytest.mark.parametrize("robot", ["g1_29dof", "g1_29dof_rev_1_0"])
+@pytest.mark.parametrize(
+    ("order", "robot"), [("motor", "g1_29dof_rev_1_0"), ("isaaclab", "g1_29dof")]
+)
 def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order, robot):
     """BeyondMimic and mjlab write the same arrays, in different orders."""
     angles = motion.joint_pos if order == "motor" else isaac_angles
@@ -112,8 +107,9 @@ def test_the_pelvis_alone_says_nothing_of_the_order_and_a_hand_does(tmp_path, mo
     assert_same(g1stream.load_motion(path), calm, tolerance=1e-6)
     pelvis = {name: values[:, :1] for name, values in some.items()}
     np.savez(path, fps=50, joint_pos=0.05 * isaac_angles, **pelvis)
-    with pytest.raises(MotionError, match="ambiguous"):
+    with pytest.raises(MotionError) as refused:
         g1stream.load_motion(path)
+    assert "--joint-order" in refused.value.remedy
 
 
 def test_order_told_by_limits(tmp_path, motion, isaac_angles):
@@ -127,17 +123,9 @@ def test_order_told_by_limits(tmp_path, motion, isaac_angles):
     assert not found.root_pos.any()
 
 
-def test_order_is_asked_for(tmp_path, motion):
-    path = tmp_path / "still.npz"
-    np.savez(path, q=np.zeros((5, 29)), fps=50)
-    with pytest.raises(MotionError) as refused:
-        g1stream.load_motion(path)
-    assert "--joint-order" in refused.value.remedy
-    assert g1stream.load_motion(path, joint_order="isaaclab").n_frames == 5
-
-
-@pytest.mark.parametrize("order", ["motor", "isaaclab"])
-@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize(
+    ("order", "asked"), [("motor", False), ("isaaclab", False), ("isaaclab", True)]
+)
 def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, asked):
     """Limits tell it; in calm motions it is taken to be motor order."""
     path = tmp_path / "motion.csv"
@@ -174,8 +162,7 @@ def gmr(motion, *, xyzw=True):
     }
 
 
-@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
-@pytest.mark.parametrize("xyzw", [True, False])
+@pytest.mark.parametrize(("protocol", "xyzw"), [(2, True), (4, False), (5, True)])
 def test_gmr_pickle(tmp_path, motion, protocol, xyzw):
     """The quaternion order is told by how the pelvis stands."""
     path = tmp_path / "motion.pkl"
@@ -198,21 +185,6 @@ def test_joblib(tmp_path, motion, compress):
     path = tmp_path / "motion.pkl"
     joblib.dump({"dance": gmr(motion)}, path, compress=compress)
     assert_same(g1stream.load_motion(path), motion)
-
-
-@pytest.mark.parametrize("suffix", ["csv", "npz"])
-def test_round_trip(tmp_path, motion, suffix):
-    path = motion.save(tmp_path / f"motion.{suffix}")
-    found = g1stream.load_motion(path, fps=50 if suffix == "csv" else None)
-    assert_same(found, motion)
-    np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
-    with pytest.raises(RecordingError):
-        found.save(path, force=True)  # it would be its own source
-
-
-def test_fps_overrides(tmp_path, motion):
-    path = motion.save(tmp_path / "motion.npz")
-    assert g1stream.load_motion(path, fps=25).fps == 25.0
 
 
 def test_one_of_several_motions_is_taken_by_its_name(tmp_path, motion):
@@ -297,6 +269,14 @@ def with_root(pos, quat):
         ({"dof": np.full((9, 36), 1e308)}, "finite"),
         (with_root(np.zeros((9, 3)), np.full((9, 4), np.nan)), "root_rot .* finite"),
         ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "left_knee_joint"]}, "twice"),
+        (
+            {
+                "dof": np.zeros((9, 29)),
+                "body_pos": np.zeros((8, 1, 3)),
+                "body_quat": np.ones((9, 1, 4)),
+            },
+            "8, 1, 3",
+        ),
     ],
 )
 def test_what_is_no_motion(tmp_path, arrays, reason):
@@ -360,19 +340,9 @@ def test_hostile_pickles(tmp_path, content):
         tracemalloc.stop()
 
 
-def test_bodies_of_fewer_frames(tmp_path, motion):
-    path = tmp_path / "motion.npz"
-    found = {name: values[:-1] for name, values in bodies(motion).items()}
-    np.savez(path, joint_pos=motion.joint_pos, **found)
-    with pytest.raises(MotionError, match="shape"):
-        g1stream.load_motion(path)
-
-
 def test_a_file_of_pytorch(motion):
     """Written by PyTorch 2.13, with the arrays of ProtoMotions: frames 60 to 63 of the demo."""
     file = opened(DATA / "protomotions.pt")
-    used = "file of PyTorch with dof_pos, rigid_body_pos, rigid_body_rot, fps"
-    assert set(file.evidence.used["file"].split(", ")) == set(used.split(", "))
     assert file.evidence.used["joint order"].startswith("motor")
     found = file.motion()
     assert found.fps == 50.0
@@ -380,8 +350,7 @@ def test_a_file_of_pytorch(motion):
     half = 0.3 * np.arange(4) / 50.0
     expected = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     np.testing.assert_allclose(found.root_quat_wxyz, expected, rtol=0, atol=1e-6)
-    kind, tensors = read_arrays((DATA / "protomotions.pt").read_bytes())
-    assert kind == "file of PyTorch"
+    _, tensors = read_arrays((DATA / "protomotions.pt").read_bytes())
     np.testing.assert_array_equal(tensors["transposed"], np.arange(6.0).reshape(2, 3).T)
     assert tensors["contacts"].dtype == np.bool_
     assert tensors["fps_tensor"] == 50.0
@@ -437,8 +406,6 @@ def pickled(arrays):
 
 
 def test_tensors_are_within_their_storage(tmp_path):
-    path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(0, (2, 2), (2, 1))}))
-    assert read_arrays(path.read_bytes())[1]["q"].shape == (2, 2)
     for arguments in (
         (1, (2, 2), (2, 1)),
         (0, (3, 2), (2, 1)),
@@ -537,12 +504,13 @@ def without_names(path, motion, order, scale=1.0):
     return replace(motion, joint_pos=expected)
 
 
-@pytest.mark.parametrize("robot", [None, "g1_29dof_rev_1_0", "g1_23dof"])
 @pytest.mark.parametrize("order", OF_23)
-def test_limits_tell_which_23_joints_a_csv_has(tmp_path, motion, order, robot):
+def test_limits_tell_which_23_joints_a_csv_has(tmp_path, motion, order):
+    """Whatever the robot has."""
     path = tmp_path / "motion.csv"
     expected = without_names(path, motion, order)
-    found = g1stream.load_motion(path, fps=50, robot=robot and G1.load(robot))
+    assert_same(g1stream.load_motion(path, fps=50, robot=G1.load("g1_23dof")), expected)
+    found = g1stream.load_motion(path, fps=50)
     assert_same(found, expected)
     assert any("--joint-order" in text for text in found.warnings) == (order != "motor")
     assert opened(path).evidence.used["joint order"].startswith(order)
@@ -581,15 +549,10 @@ def test_an_order_of_23_joints_is_none_of_29(tmp_path, motion):
         g1stream.load_motion(path, joint_order="motor-23dof")
 
 
-@pytest.mark.parametrize("order", ["motor", "motor-23dof"])
-@pytest.mark.parametrize("scale", [1.0, 0.3])
-def test_the_23_joints_of_a_dance(tmp_path, real_clip, order, scale):
-    """At full size limits tell them; of a calmer dance the robot does."""
+def test_limits_tell_the_23_joints_of_a_dance(tmp_path, real_clip):
     path = tmp_path / "dance.csv"
-    expected = without_names(path, g1stream.load_motion(real_clip), order, scale)
-    robot = G1.load("g1_23dof") if scale < 1.0 and order == "motor-23dof" else None
-    found = g1stream.load_motion(path, robot=robot)
-    assert_same(found, expected)
+    expected = without_names(path, g1stream.load_motion(real_clip), "motor-23dof")
+    assert_same(g1stream.load_motion(path), expected)
 
 
 def test_a_quaternion_before_the_position_is_told_by_its_norm(tmp_path, motion):
@@ -621,6 +584,7 @@ def test_root_and_rate_under_other_names(tmp_path, motion, rate):
     names = np.array(motion.joint_names, dtype="S")
     np.savez(path, joint_names=names, Joint_Pos=motion.joint_pos, **pose, **rate)
     assert_same(g1stream.load_motion(path), motion)
+    assert g1stream.load_motion(path, fps=25).fps == 25.0
     np.savez(path, joint_names=names, joint_pos=motion.joint_pos, pelvis=motion.root_pos, speed=50)
     found = g1stream.load_motion(path)
     assert all(name in found.warnings[0] for name in ("pelvis", "speed"))
@@ -628,8 +592,7 @@ def test_root_and_rate_under_other_names(tmp_path, motion, rate):
 
 
 @pytest.mark.parametrize(
-    ("name", "hinted"),
-    [("take_120hz", True), ("run 60 FPS", True), ("walk_30fps", False), ("7", 0)],
+    ("name", "hinted"), [("take_120hz", True), ("run 60 FPS", True), ("walk_30fps", False)]
 )
 def test_a_rate_in_the_name_is_a_hint_alone(tmp_path, motion, name, hinted):
     path = motion.save(tmp_path / f"{name}.csv")

@@ -1,5 +1,3 @@
-"""Tables of motions: every spelling, and faults named with their place."""
-
 from __future__ import annotations
 
 import hashlib
@@ -90,7 +88,7 @@ def test_foxglove_layout(load, tmp_path):
 
 
 @given(order=st.permutations(COLUMNS), seed=st.integers(0, 100))
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_columns_may_be_in_any_order(load, order, seed):
     rows = rows_of(3, seed)
     shuffled = [[row[COLUMNS.index(name)] for name in order] for row in rows]
@@ -107,7 +105,7 @@ def test_the_order_of_the_quaternion_is_that_of_the_header(load):
 
 
 @given(cells=st.lists(st.floats(-1e9, 1e9), min_size=29 * 2, max_size=29 * 2))
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_numbers_are_read_to_the_last_bit(load, cells):
     rows = [[frame, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0, *cells[frame::2]] for frame in (0, 1)]
     motion = load(csv(rows))
@@ -208,7 +206,6 @@ EULER = ("root_rotateX", "root_rotateY", "root_rotateZ", *(f"{n}_dof" for n in J
         (changed(2, 4, "\uff11"), "line 2, column 4 (Z)", ["'\uff11'"]),
         (changed(2, 4, " "), "line 2, column 4 (Z)", ["''"]),
         (changed(2, 4, "0,1"), "line 2", ["38 values", "37 columns"]),
-        (csv(rows_of(3))[:-20], "line 4", ["37 columns"]),
         (csv(rows_of(3)) + "\n" + csv(rows_of(3)), "line 5", ["blank"]),
         (csv(rows_of(3)) + csv(rows_of(3)), "line 5, column 1 (Frame)", ["'Frame'"]),
         (bare(rows_of(3)).replace("\n", ",x\n", 1), "line 1, column 37", ["'x'"]),
@@ -226,7 +223,6 @@ EULER = ("root_rotateX", "root_rotateY", "root_rotateZ", *(f"{n}_dof" for n in J
         ("", "", ["empty"]),
         (" \r\n\n", "", ["empty"]),
         ("1,2,3\n4,5,6\n", "line 1", ["3 columns"]),
-        (csv(rows_of(5)).split("\n", 1)[1], "line 1", ["37 columns"]),
         (b"MP3\x04\x00\x00not text", "line 1", ["binary"]),
         (b"Frame,X\n1,\xff\xfe\n", "line 2", ["byte 10", "UTF-8"]),
         (csv(rows_of(3)).encode("utf-16"), "line 1", ["byte 0", "UTF-8"]),
@@ -244,7 +240,7 @@ def test_faults_are_named_with_their_place(load, content, place, offenders):
 
 
 @given(line=st.integers(1, 6), column=st.integers(1, 37), cell=st.text(max_size=6))
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_cell_is_read_or_refused(load, line, column, cell):
     try:
         motion = load(changed(line, column, cell).encode("utf-8", "surrogatepass"))

@@ -1,5 +1,3 @@
-"""The spline against scipy and finite differences, and resampling against the whole spline."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -56,7 +54,7 @@ def test_orientation_is_scipys_rotation_spline(wild_motion):
 def test_one_sample_is_the_same_as_many(wild_motion):
     for loop in (False, True):
         trajectory = Trajectory(wild_motion, loop=loop)
-        times = np.linspace(-0.5, 3.0, 211)
+        times = np.linspace(-0.5, 3.0, 61)
         many = trajectory.sample_many(times)
         for row, t in enumerate(times):
             for one, batch in zip(trajectory.sample(t), many, strict=True):
@@ -144,7 +142,7 @@ def made(n_frames, fps=30.0):
 @pytest.mark.parametrize("n_frames", [BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
 def test_parts_are_those_of_splines_through_all_frames(n_frames):
     motion = made(n_frames)
-    times, at = between(motion, 8 * n_frames), frame_times(motion)
+    times, at = between(motion, 2 * n_frames), frame_times(motion)
     point = Trajectory(motion).sample_many(times)
     joints = CubicSpline(at, motion.joint_pos, bc_type="natural")
     np.testing.assert_allclose(point.joint_pos, joints(times), rtol=0, atol=1e-10)
@@ -160,15 +158,14 @@ def collected(motion, rate, start=0, stop=None):
     return numbers, [np.concatenate(parts) for parts in zip(*(p for _, p in pieces), strict=True)]
 
 
-@pytest.mark.parametrize("rate", [100.0, 29.97, 7.0])
+@pytest.mark.parametrize("rate", [100.0, 7.0])
 def test_pieces_are_those_of_the_spline_through_all_frames(rate):
     motion = made(2 * BLOCK + 5)
     numbers, fields = collected(motion, rate)
     np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
     whole = Trajectory(motion).sample_many(numbers / rate)
-    for field, expected in zip(fields[:6], whole[:6], strict=True):
+    for field, expected in zip(fields[:7], whole[:7], strict=True):
         np.testing.assert_allclose(field, expected, atol=1e-8)
-    np.testing.assert_allclose(fields[6], whole.root_quat_wxyz, atol=1e-8)
 
 
 @pytest.mark.parametrize(

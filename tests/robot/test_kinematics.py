@@ -1,9 +1,6 @@
-"""Forward kinematics against yourdfpy and MuJoCo on the same URDF."""
-
 from __future__ import annotations
 
-from io import StringIO
-
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,25 +29,7 @@ def any_robot(request, robot, reference_urdf, tmp_path):
     return G1.load(path)
 
 
-def test_every_link_is_where_yourdfpy_has_it(any_robot, random_frames):
-    import yourdfpy
-
-    peer = yourdfpy.URDF.load(StringIO(any_robot.urdf), load_meshes=False)
-    poses = forward_kinematics(any_robot, *random_frames)
-    for frame, (joint_pos, root_pos, root_quat) in enumerate(zip(*random_frames, strict=True)):
-        peer.update_cfg(dict(zip(any_robot.joint_names, joint_pos, strict=True)))
-        in_root = np.array([peer.get_transform(link) for link in any_robot.link_names])
-        pos = root_pos + quat_rotate(root_quat, in_root[:, :3, 3])
-        quat = quat_mul(
-            root_quat, Rotation.from_matrix(in_root[:, :3, :3]).as_quat(scalar_first=True)
-        )
-        np.testing.assert_allclose(poses.pos[frame], pos, rtol=0, atol=METRES)
-        np.testing.assert_array_less(angle_between(poses.quat_wxyz[frame], quat), RADIANS)
-
-
 def test_every_link_is_where_mujoco_has_it(any_robot, random_frames, compile_mujoco):
-    import mujoco
-
     model = compile_mujoco(any_robot.urdf)
     data = mujoco.MjData(model)
     joints = [model.joint(name).qposadr[0] for name in any_robot.joint_names]
@@ -85,7 +64,7 @@ def test_one_root_pose_serves_all_frames(robot, random_frames):
     np.testing.assert_array_equal(poses.pos, one_by_one.pos)
 
 
-@pytest.mark.parametrize("shape", [(29,), (12, 28), (12, 35)])
+@pytest.mark.parametrize("shape", [(29,), (12, 28)])
 def test_joint_positions_of_another_shape_are_refused(robot, random_frames, shape):
     with pytest.raises(ValueError, match="29"):
         forward_kinematics(robot, np.zeros(shape), *random_frames[1:])
@@ -105,8 +84,7 @@ def test_links_that_are_asked_for_alone_are_where_they_are_with_all(robot, rando
     assert np.isnan(some.pos[:, robot.link_index("right_rubber_hand")]).all()
 
 
-@pytest.mark.parametrize("shifted", [False, True])
-@pytest.mark.parametrize("some", [False, True])
+@pytest.mark.parametrize(("shifted", "some"), [(False, False), (True, True)])
 def test_velocities_are_derivatives_of_the_poses(any_robot, random_frames, shifted, some):
     """By central differences along a path on which every joint and the root turn and move."""
     rng = np.random.default_rng(3)

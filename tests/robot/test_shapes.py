@@ -1,5 +1,3 @@
-"""The shapes of a URDF, and meshes: against yourdfpy, trimesh and figures worked out by hand."""
-
 import sys
 from dataclasses import replace
 from io import StringIO
@@ -20,11 +18,6 @@ from g1stream.robot.shapes import (
     read_visuals,
     robot_with_meshes,
 )
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return G1.default()
 
 
 def with_urdf(robot, xml, source="made.urdf"):

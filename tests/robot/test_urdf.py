@@ -1,5 +1,3 @@
-"""Every fault of a URDF gives a cause and a remedy."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -25,13 +23,11 @@ EDITS = {
     "another format": ("robot", "mujoco", "its root element is <mujoco>", "MJCF"),
     "text in a number": (ANKLE, 'xyz="0 0 low"', "'left_ankle_pitch_joint' has xyz='0 0 low' in",
                          "3 finite"),
-    "two numbers for three": (ANKLE, 'xyz="0 0"', "has xyz='0 0' in its <origin>", "3 finite"),
     "a joint without a parent": ('<parent link="left_hip_yaw_link" />', "",
                                  "'left_knee_link'", "one root"),
     "an unknown link": (KNEE_PARENT, KNEE_PARENT.replace("left_hip_yaw_link", "thigh"),
                         "'thigh'", "one root"),
     "a link twice": (END, '<link name="head_link"/></robot>', "'head_link'", "one root"),
-    "two roots": (END, '<link name="crate"/></robot>', "'crate'", "one root"),
     "no root": (END, '<joint name="j" type="fixed"><parent link="head_link"/>'
                 '<child link="pelvis"/></joint></robot>', "'pelvis'", "one root"),
     "two parents": (END, '<joint name="j" type="fixed"><parent link="pelvis"/>'
@@ -44,18 +40,13 @@ EDITS = {
     "a ring in the tree": (
         END, '<joint name="j" type="fixed"><parent link="head_link"/><child link="torso_link"/>'
         '</joint></robot>', "'torso_link'", "one root"),
-    "a joint that is not there": ('name="waist_roll_joint"', 'name="waist_lean_joint"',
-                                  "lacks 1 of the G1's 29 revolute joints: waist_roll_joint",
-                                  "29 joints"),
     "a joint that slides": (KNEE, KNEE.replace("revolute", "prismatic"), "left_knee_joint", "29"),
     "a floating base": (FIXED_LOGO, FIXED_LOGO.replace("fixed", "floating"), "is floating",
                         "moves freely"),
     "a joint without limits": ('name="waist_yaw_joint" type="revolute"',
                                'name="waist_yaw_joint" type="continuous"',
                                "'waist_yaw_joint' is continuous", "revolute"),
-    "a zero axis": ('<axis xyz="1 0 0"', '<axis xyz="0 0 0"', "[0. 0. 0.]", "length 1"),
     "a long axis": ('<axis xyz="1 0 0"', '<axis xyz="1 1 0"', "[1. 1. 0.]", "length 1"),
-    "no limit": (KNEE_LIMIT, "", "'left_knee_joint' has no limit lower, upper, vel", "<limit>"),
     "half a limit": (KNEE_LIMIT, '<limit lower="-0.08" upper="2.8" effort="139"/>',
                      "has no limit velocity", "<limit>"),
     "an endless limit": (KNEE_LIMIT, KNEE_LIMIT.replace("2.8798", "inf"), "upper='inf'",

@@ -1,5 +1,3 @@
-"""Commands, poses and masses for the tests of this room."""
-
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -9,22 +7,20 @@ import numpy as np
 import pytest
 
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
-from g1stream.robot.model import G1
 from g1stream.sim.world import MotorCommand
+from known_robots import reference_urdf, robot
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+__all__ = ["reference_urdf", "robot"]
 
 
 class Mass(NamedTuple):
     link: str
     mass: float
     centre: NDArray[np.float64]
-
-
-@pytest.fixture(scope="session")
-def robot():
-    return G1.default()
 
 
 @pytest.fixture

@@ -1,5 +1,3 @@
-"""The bridge over DDS: topics, time stamps, commands, events."""
-
 from __future__ import annotations
 
 import logging

@@ -1,5 +1,3 @@
-"""The simulated robot behind its messages: what it publishes, accepts and refuses."""
-
 from __future__ import annotations
 
 import logging
@@ -61,7 +59,7 @@ def test_base_and_torso(simulated, world):
     assert np.linalg.norm(torso.quaternion) == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("rate", [100, 300, 500, 1000])
+@pytest.mark.parametrize("rate", [300, 1000])
 def test_simulated_time_is_a_multiple_of_the_period(robot, rate):
     settings = SimConfig(rate=rate, support="bolted")
     simulated = SimulatedRobot(make_world(robot, settings), settings)
@@ -156,11 +154,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("reason", REFUSED)
 def test_an_invalid_command_is_refused_and_logged(simulated, world, caplog, reason):
-    run(simulated, range(501), REFUSED[reason]())
+    run(simulated, (*range(49), 500), REFUSED[reason]())
     assert simulated.report.commands == 0
     ((refusal, count),) = simulated.report.refused.items()
     assert reason in refusal
-    assert count == 501
+    assert count == 50
     assert world.state().q[KNEE] == pytest.approx(0.0, abs=0.1)
     assert len(caplog.records) == 2  # once a second, not at every command
     assert all(record.levelno == logging.WARNING for record in caplog.records)

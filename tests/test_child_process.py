@@ -1,5 +1,3 @@
-"""Programs as child processes: they answer, they fail with a reason, none outlives its parent."""
-
 from __future__ import annotations
 
 import os
@@ -33,6 +31,9 @@ def record(path: Path) -> Child:
 
 
 def test_a_child_says_when_it_is_ready_and_returns_its_result(sim):
+    # Ctrl-C in the terminal does not reach it.
+    assert os.getsid(sim._process.pid) != os.getsid(0)
+    assert os.getpgid(sim._process.pid) != os.getpgid(0)
     assert sim.finish().states >= 0
     assert not sim.alive
 
@@ -70,17 +71,7 @@ def test_a_child_that_hangs_is_killed(sim):
         sim.finish(timeout=0.2)
     assert not sim.alive
     assert sim._process.returncode == -signal.SIGKILL
-
-
-def test_ctrl_c_in_the_terminal_does_not_reach_a_child(sim):
-    assert os.getsid(sim._process.pid) != os.getsid(0)
-    assert os.getpgid(sim._process.pid) != os.getpgid(0)
-
-
-def test_a_child_that_was_killed_can_be_killed_again(sim):
-    sim.kill()
-    sim.kill()
-    assert not sim.alive
+    sim.kill()  # again
 
 
 def test_a_recorder_whose_parent_is_killed_closes_its_file(domain_id, tmp_path):

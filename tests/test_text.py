@@ -1,5 +1,3 @@
-"""Numbers of things and what a terminal would obey."""
-
 import pytest
 
 from g1stream.text import counted, printable, ranges

@@ -153,11 +153,6 @@ def test_without_a_header(load, start):
         assert_same(load(content), load(csv(rows)))
 
 
-@pytest.mark.parametrize("cell", ["1e-3", "+1", "-.5", "1.", " 2 ", "1E2"])
-def test_ways_to_write_a_number(load, cell):
-    assert load(changed(3, KNEE + 1, cell)).joint_pos[1, 3] == float(cell)
-
-
 def test_frames_may_be_numbered_from_anywhere_or_not_at_all(load):
     rows = rows_of(3)
     for content in (

@@ -217,28 +217,6 @@ def test_a_walk_goes_on_through_the_blend_as_it_was(walk):
     np.testing.assert_allclose(velocity, np.tile([0.0, 0.5, 0.0], (len(velocity), 1)), atol=1e-9)
 
 
-def test_a_blend_is_smooth_to_the_second_derivative(wild_motion):
-    """Its velocity, at ten thousand times a second, has no steps at its ends."""
-    both = wild_motion.then(wild_motion, blend=0.5)
-    last = wild_motion.duration
-    for seam in (last, last + 0.5):
-        times = seam + np.arange(-50, 51) * 1e-4
-        point = Trajectory(both).sample_many(times)
-        for velocity, acceleration in (
-            (point.joint_vel, point.joint_acc),
-            (point.root_lin_vel, point.root_lin_acc),
-            (point.root_ang_vel, point.root_ang_acc),
-        ):
-            np.testing.assert_allclose(
-                np.diff(velocity, axis=0) / 1e-4,
-                (acceleration[1:] + acceleration[:-1]) / 2,
-                rtol=0,
-                atol=1e-3 * np.abs(acceleration).max(),
-            )
-            steps = np.abs(np.diff(acceleration, axis=0)).max()
-            assert steps < 0.1 * np.abs(acceleration).max()
-
-
 def test_other_frame_rates_and_no_blend(demo):
     both = demo.then(demo.resample(60.0), blend=0.0)
     assert both.fps == 60.0

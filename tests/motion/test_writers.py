@@ -1,5 +1,3 @@
-"""What other programs read: each format as its published layout says, by independent kinematics."""
-
 from __future__ import annotations
 
 import io

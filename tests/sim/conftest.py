@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
-from xml.etree import ElementTree as ET
-
 import numpy as np
 import pytest
 
@@ -10,17 +7,7 @@ from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
 from g1stream.sim.world import MotorCommand
 from known_robots import reference_urdf, robot
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-
 __all__ = ["reference_urdf", "robot"]
-
-
-class Mass(NamedTuple):
-    link: str
-    mass: float
-    centre: NDArray[np.float64]
 
 
 @pytest.fixture
@@ -33,18 +20,6 @@ def inner_pose(robot, rng):
     """A pose well inside every joint's limits."""
     middle, span = (robot.lower + robot.upper) / 2, robot.upper - robot.lower
     return middle + span * rng.uniform(-0.3, 0.3, N_JOINTS)
-
-
-@pytest.fixture(scope="session")
-def masses(robot):
-    """Each link's mass and its centre in the link's own frame, read from the URDF."""
-    found = []
-    for link in ET.fromstring(robot.urdf).iter("link"):
-        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
-        if mass is not None and origin is not None:
-            centre = np.array([float(part) for part in origin.attrib["xyz"].split()])
-            found.append(Mass(link.attrib["name"], float(mass.attrib["value"]), centre))
-    return found
 
 
 @pytest.fixture(scope="session")

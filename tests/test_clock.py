@@ -90,17 +90,11 @@ def deadlines(ticker, *ks):
     return [ticker.start + k * PERIOD for k in ks]
 
 
-def test_ticks_are_absolute(ticker, clock):
-    assert list(islice(ticker, 4)) == list(enumerate(deadlines(ticker, 0, 1, 2, 3)))
-    assert clock.deadlines == deadlines(ticker, 0, 1, 2, 3)
-    assert clock.time == ticker.start + 3 * PERIOD
-    assert ticker.skipped == 0
-
-
 def test_work_and_oversleeping_within_a_period_do_not_add_up(ticker, clock):
     clock.oversleeps = dict.fromkeys(deadlines(ticker, *range(1000)), 70_001)
     came = []
-    for _, deadline in islice(ticker, 1000):
+    for k, deadline in islice(ticker, 1000):
+        assert k == len(came)
         came.append(clock.time - deadline)
         clock.work(900_000)
     assert came == [0] + [70_001] * 999  # the first deadline has come when it is asked for
@@ -123,18 +117,6 @@ def test_work_beyond_a_whole_period_skips_ticks(ticker, clock, work, following, 
     assert next(ticks) == (following, *deadlines(ticker, following))
     assert ticker.skipped == skipped
     assert next(ticks) == (following + 1, *deadlines(ticker, following + 1))
-    assert ticker.skipped == skipped
-
-
-@pytest.mark.parametrize(
-    ("oversleep", "came", "skipped"),
-    [(PERIOD - 1, 3, 0), (PERIOD, 4, 1), (5 * PERIOD + PERIOD // 2, 8, 5)],
-)
-def test_a_sleep_that_takes_too_long_skips_ticks(ticker, clock, oversleep, came, skipped):
-    (late,) = deadlines(ticker, 3)
-    clock.oversleeps[late] = oversleep
-    ks = [k for k, _ in islice(ticker, 6)]
-    assert ks == [0, 1, 2, came, came + 1, came + 2]
     assert ticker.skipped == skipped
 
 

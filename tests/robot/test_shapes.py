@@ -57,15 +57,12 @@ def test_shapes_of_the_default_robot_are_those_of_yourdfpy(robot):
         assert visual.coloured
 
 
-def test_defaults_are_no_rotation_and_grey(robot):
+def test_a_shape_without_origin_and_colour_and_a_mesh_with_a_colour(robot):
     (visual,) = read_visuals(with_urdf(robot, shape("<box size='1 2 3'/>")))
     assert (visual.pos, visual.quat_wxyz) == ((0, 0, 0), (1, 0, 0, 0))
     assert visual.size == (1, 2, 3)
     assert not visual.coloured
     assert visual.rgba[3] == 1
-
-
-def test_a_colour_of_its_own_and_a_mesh(robot):
     material = "<material name='red'><color rgba='1 0 0 0.5'/></material>"
     mesh = "<mesh filename='meshes/a.stl' scale='0.001 0.001 0.001'/>"
     (visual,) = read_visuals(with_urdf(robot, shape(mesh, material=material)))

@@ -121,22 +121,6 @@ def test_arms_pressed_together(robot, servo, run, self_collision):
         assert max(depths) == 0.0
 
 
-def test_feet_stop_at_the_floor(robot, servo, run):
-    """A robot bolted too low for its legs cannot stretch them."""
-    bent = np.zeros(N_JOINTS)
-    for side in ("left", "right"):
-        for joint, angle in (("hip_pitch", -0.8), ("knee", 1.6), ("ankle_pitch", -0.8)):
-            bent[JOINT_NAMES.index(f"{side}_{joint}_joint")] = angle
-    world = World(robot, joint_pos=bent, base_height=0.7)
-    assert world.data.ncon == 0
-    run(world, servo(), 1.0)
-    assert world.data.ncon > 0
-    model = world.model
-    feet = [model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
-    soles = np.isin(model.geom_bodyid, feet) & (model.geom_conaffinity != 0)
-    assert world.data.geom_xpos[soles, 2].min() > 0
-
-
 def test_urdf_with_meshes_and_fingers(reference_urdf, servo, run):
     world = World(G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf")), "hanging")
     assert world.model.nv == 6 + N_JOINTS

@@ -53,13 +53,6 @@ def test_only_enabled_motors_move(robot, servo):
     assert ((world.state().tau_est != 0.0) == enabled).all()
 
 
-def test_imu_at_rest_reads_gravity_upward(robot):
-    state = World(robot).state()
-    assert state.imu.quat_wxyz == pytest.approx([1, 0, 0, 0])
-    assert state.imu.gyroscope == pytest.approx([0, 0, 0])
-    assert state.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
-
-
 def test_torso_imu_turns_with_the_waist(robot, servo, run):
     pose = np.zeros(N_JOINTS)
     pose[[JOINT_NAMES.index("waist_yaw_joint"), JOINT_NAMES.index("waist_pitch_joint")]] = 0.7, 0.4

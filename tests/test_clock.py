@@ -1,5 +1,6 @@
 import time
 from itertools import islice
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -27,46 +28,36 @@ def test_a_deadline_that_has_passed_is_not_slept_for(monkeypatch):
     clock.sleep_until(clock.now() - 1)
 
 
-def test_it_asks_to_be_woken_sooner_by_what_waking_takes(monkeypatch):
-    """On a machine of the test's own, that takes 60 us to wake, and 2 us to look at the time."""
-    time, asked = 0, []
+@pytest.fixture
+def machine(monkeypatch):
+    """A machine that takes 2 us to look at the time, and `late` ns to wake."""
+    machine = SimpleNamespace(time=0, late=0)
 
     def now():
-        nonlocal time
-        time += 2_000
-        return time
+        machine.time += 2_000
+        return machine.time
 
     def sleep(seconds):
-        nonlocal time
-        asked.append(time + round(seconds * 1e9))
-        time = asked[-1] + 60_000
+        machine.time += round(seconds * 1e9) + machine.late
 
-    clock = SystemClock()
     monkeypatch.setattr(clock_module.time, "monotonic_ns", now)
     monkeypatch.setattr(clock_module.time, "sleep", sleep)
-    lateness = []
+    return machine
+
+
+def test_it_asks_to_be_woken_sooner_by_what_waking_takes(machine):
+    clock, lateness, machine.late = SystemClock(), [], 60_000
     for k in range(1, 200):
         clock.sleep_until(k * MS)
-        lateness.append(now() - k * MS)
+        lateness.append(clock.now() - k * MS)
     assert lateness[0] > 60_000
     assert max(lateness[-50:]) <= 8_000
     assert min(lateness[-50:]) > 0
 
 
-def test_one_long_delay_is_not_learned(monkeypatch):
+def test_one_long_delay_is_not_learned(machine):
     """A stall says nothing about how long waking takes; it must not turn into long waits awake."""
-    time = 0
-
-    def now():
-        return time
-
-    def sleep(seconds):
-        nonlocal time
-        time += round(seconds * 1e9) + 50 * MS
-
-    clock = SystemClock()
-    monkeypatch.setattr(clock_module.time, "monotonic_ns", now)
-    monkeypatch.setattr(clock_module.time, "sleep", sleep)
+    clock, machine.late = SystemClock(), 50 * MS
     clock.sleep_until(10 * MS)
     assert clock._early <= 100_000 // 16 + 1
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from g1stream.robot.kinematics import forward_kinematics, link_velocities, local_transforms
+from g1stream.robot.kinematics import forward_kinematics, local_transforms
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_mul, quat_rotate
 
@@ -82,44 +82,3 @@ def test_links_that_are_asked_for_alone_are_where_they_are_with_all(robot, rando
     np.testing.assert_array_equal(some.pos[:, links], poses.pos[:, links])
     np.testing.assert_array_equal(some.quat_wxyz[:, links], poses.quat_wxyz[:, links])
     assert np.isnan(some.pos[:, robot.link_index("right_rubber_hand")]).all()
-
-
-@pytest.mark.parametrize(("shifted", "some"), [(False, False), (True, True)])
-def test_velocities_are_derivatives_of_the_poses(any_robot, random_frames, shifted, some):
-    """By central differences along a path on which every joint and the root turn and move."""
-    rng = np.random.default_rng(3)
-    n_frames, n_links = len(random_frames.joint_pos), len(any_robot.link_names)
-    joint_vel = rng.normal(size=(n_frames, 29))
-    lin_vel, ang_vel = rng.normal(size=(2, n_frames, 3))
-    links = sorted(rng.choice(n_links, 5, replace=False).tolist()) if some else range(n_links)
-    points = rng.normal(size=(n_links, 3)) * 0.1 if shifted else np.zeros((n_links, 3))
-    step = 1e-6
-
-    def poses(time):
-        turn = Rotation.from_rotvec(time * ang_vel)
-        quat = turn * Rotation.from_quat(random_frames.root_quat_wxyz, scalar_first=True)
-        return forward_kinematics(
-            any_robot,
-            random_frames.joint_pos + time * joint_vel,
-            random_frames.root_pos + time * lin_vel,
-            quat.as_quat(scalar_first=True),
-            links if some else None,
-        )
-
-    after, before = poses(step), poses(-step)
-    ends = [one.pos + quat_rotate(one.quat_wxyz, points) for one in (after, before)]
-    lin = (ends[0] - ends[1])[:, links] / (2 * step)
-    turned = [
-        Rotation.from_quat(one.quat_wxyz[:, links].reshape(-1, 4), scalar_first=True)
-        for one in (after, before)
-    ]
-    ang = (turned[0] * turned[1].inv()).as_rotvec().reshape(n_frames, -1, 3) / (2 * step)
-    found = link_velocities(
-        any_robot,
-        poses(0.0),
-        *(joint_vel, lin_vel, ang_vel),
-        links if some else None,
-        points if shifted else None,
-    )
-    np.testing.assert_allclose(found.lin[:, links], lin, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(found.ang[:, links], ang, rtol=0, atol=1e-7)

@@ -168,16 +168,6 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, r
     assert np.abs(speed).max() > 1e-3
 
 
-def test_strong_damping_does_not_chatter(robot, servo, run):
-    world = World(robot, joint_pos=np.full(N_JOINTS, 0.1))
-    run(world, servo(kp=20.0, kd=50.0), 0.5)
-    speeds = []
-    for _ in range(200):
-        world.step(servo(kp=20.0, kd=50.0))
-        speeds.append(world.state().dq)
-    assert np.abs(np.diff(speeds, axis=0)).max() < 0.01
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
 @pytest.mark.parametrize(("support", "worst"), [("bolted", 0.09), ("hanging", 0.047)])

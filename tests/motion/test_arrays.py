@@ -69,6 +69,28 @@ def opened(path):
     return find_motion(path).open()
 
 
+@pytest.fixture
+def npz(tmp_path):
+    """Write arrays at 50 fps; gives the path."""
+
+    def write(**arrays):
+        np.savez(tmp_path / "motion.npz", **({"fps": 50} | arrays))
+        return tmp_path / "motion.npz"
+
+    return write
+
+
+@pytest.fixture
+def pkl(tmp_path):
+    """Write the bytes of a pickle; gives the path."""
+
+    def write(content):
+        (tmp_path / "motion.pkl").write_bytes(content)
+        return tmp_path / "motion.pkl"
+
+    return write
+
+
 def assert_same(found, motion, *, tolerance=0.0, root=True):
     assert found.fps == motion.fps
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
@@ -81,38 +103,32 @@ def assert_same(found, motion, *, tolerance=0.0, root=True):
 @pytest.mark.parametrize(
     ("order", "robot"), [("motor", "g1_29dof_rev_1_0"), ("isaaclab", "g1_29dof")]
 )
-def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order, robot):
+def test_order_told_by_bodies(npz, motion, isaac_angles, order, robot):
     """BeyondMimic and mjlab write the same arrays, in different orders."""
     angles = motion.joint_pos if order == "motor" else isaac_angles
-    path = tmp_path / "motion.npz"
-    np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion, robot))
-    file = opened(path)
+    file = opened(npz(fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion, robot)))
     assert file.evidence.used["joint order"].startswith(f"{order}: bodies are 0.0 mm")
     assert f"links of {robot}," in file.evidence.used["joint order"]
     assert file.evidence.not_used == ("joint_vel",)
     assert_same(file.motion(), motion, tolerance=1e-6)
 
 
-def test_the_pelvis_alone_says_nothing_of_the_order_and_a_hand_does(tmp_path, motion, isaac_angles):
-    path = tmp_path / "motion.npz"
+def test_the_pelvis_alone_says_nothing_of_the_order_and_a_hand_does(npz, motion, isaac_angles):
     pelvis = {name: values[:, :1] for name, values in bodies(motion).items()}
-    np.savez(path, fps=50, joint_pos=isaac_angles, **pelvis)
+    path = npz(joint_pos=isaac_angles, **pelvis)
     assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
     calm = replace(motion, joint_pos=0.05 * motion.joint_pos)
     some = {name: values[:, [0, -1]] for name, values in bodies(calm).items()}
-    np.savez(path, fps=50, joint_pos=0.05 * isaac_angles, **some)
+    npz(joint_pos=0.05 * isaac_angles, **some)
     assert_same(g1stream.load_motion(path), calm, tolerance=1e-6)
-    pelvis = {name: values[:, :1] for name, values in some.items()}
-    np.savez(path, fps=50, joint_pos=0.05 * isaac_angles, **pelvis)
+    npz(joint_pos=0.05 * isaac_angles, **pelvis)
     with pytest.raises(MotionError) as refused:
         g1stream.load_motion(path)
     assert "--joint-order" in refused.value.remedy
 
 
-def test_order_told_by_limits(tmp_path, motion, isaac_angles):
-    path = tmp_path / "motion.npz"
-    np.savez(path, q=isaac_angles, fps=50)
-    file = opened(path)
+def test_order_told_by_limits(npz, motion, isaac_angles):
+    file = opened(npz(q=isaac_angles))
     assert file.evidence.assumed.keys() == {"pelvis"}
     found = file.motion()
     assert_same(found, motion, root=False)
@@ -135,13 +151,11 @@ def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, aske
     assert opened(path).evidence.assumed.keys() == {"joint order", "pelvis", "frame rate"}
 
 
-def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
+def test_named_joints_behind_the_pelvis(npz, motion, isaac_angles):
     """As holosoma writes them; the names may be objects."""
-    path = tmp_path / "motion.npz"
     pose = np.hstack([motion.root_pos, motion.root_quat_wxyz, isaac_angles])
     names = np.array(names_in_order("isaaclab"), dtype=object)
-    np.savez(path, fps=50.0, joint_pos=pose, joint_names=names, **bodies(motion))
-    file = opened(path)
+    file = opened(npz(joint_pos=pose, joint_names=names, **bodies(motion)))
     assert file.evidence.used["joint order"] == "named by the file"
     assert_same(file.motion(), motion)
 
@@ -159,19 +173,17 @@ def gmr(motion, *, xyzw=True):
 
 
 @pytest.mark.parametrize(("protocol", "xyzw"), [(2, True), (4, False), (5, True)])
-def test_gmr_pickle(tmp_path, motion, protocol, xyzw):
+def test_gmr_pickle(pkl, motion, protocol, xyzw):
     """The quaternion order is told by how the pelvis stands."""
-    path = tmp_path / "motion.pkl"
-    path.write_bytes(pickle.dumps(gmr(motion, xyzw=xyzw), protocol=protocol))
+    path = pkl(pickle.dumps(gmr(motion, xyzw=xyzw), protocol=protocol))
     assert_same(g1stream.load_motion(path), motion)
 
 
 @pytest.mark.parametrize("compress", [zlib.compress, gzip.compress])
-def test_compressed_pickle_of_one_named_motion(tmp_path, motion, compress):
+def test_compressed_pickle_of_one_named_motion(pkl, motion, compress):
     arrays = gmr(motion)
     arrays["dof"] = arrays.pop("dof_pos").tolist()
-    path = tmp_path / "motion.pkl"
-    path.write_bytes(compress(pickle.dumps({"dance": arrays})))
+    path = pkl(compress(pickle.dumps({"dance": arrays})))
     assert_same(g1stream.load_motion(path), motion)
 
 
@@ -182,12 +194,11 @@ def test_joblib(tmp_path, motion, compress):
     assert_same(g1stream.load_motion(path), motion)
 
 
-def test_one_of_several_motions_is_taken_by_its_name(tmp_path, motion):
-    path = tmp_path / "library.pkl"
+def test_one_of_several_motions_is_taken_by_its_name(pkl, motion):
     arrays = {"dof": motion.joint_pos, "fps": motion.fps, "root_trans_offset": motion.root_pos}
     arrays["root_rot"] = xyzw_from_wxyz(motion.root_quat_wxyz)
     other = {**arrays, "dof": np.zeros_like(motion.joint_pos)}
-    path.write_bytes(pickle.dumps({"walk/0:1": arrays, "stand": other}))
+    path = pkl(pickle.dumps({"walk/0:1": arrays, "stand": other}))
     found = g1stream.load_motion(f"{path}:stand", joint_order="motor")
     assert found.name == "stand"
     assert found.source == path
@@ -221,13 +232,13 @@ class Mode(enum.Enum):
     FAST = "fast"
 
 
-def test_a_pickle_runs_nothing_and_other_objects_are_left_out(tmp_path, motion):
-    mark, path = tmp_path / "mark", tmp_path / "motion.pkl"
+def test_a_pickle_runs_nothing_and_other_objects_are_left_out(pkl, tmp_path, motion):
+    mark = tmp_path / "mark"
     more = {"mode": Mode.FAST, "command": Command(mark), "counts": Counter("aab"), "set": {1}}
-    path.write_bytes(pickle.dumps(gmr(motion) | more))
+    path = pkl(pickle.dumps(gmr(motion) | more))
     assert_same(g1stream.load_motion(path), motion)
     assert set(more) <= set(opened(path).evidence.not_used)
-    path.write_bytes(pickle.dumps({"dof": Command(mark)}))
+    pkl(pickle.dumps({"dof": Command(mark)}))
     with pytest.raises(MotionError, match="system"):
         g1stream.load_motion(path)
     assert not mark.exists()
@@ -274,11 +285,9 @@ def with_root(pos, quat):
         ),
     ],
 )
-def test_what_is_no_motion(tmp_path, arrays, reason):
-    path = tmp_path / "motion.pkl"
-    path.write_bytes(pickle.dumps(arrays))
+def test_what_is_no_motion(pkl, arrays, reason):
     with pytest.raises(MotionError, match=reason):
-        g1stream.load_motion(path, joint_order="motor")
+        g1stream.load_motion(pkl(pickle.dumps(arrays)), joint_order="motor")
 
 
 def many_encodings():
@@ -323,9 +332,8 @@ def many_copies(kind):
     ],
     ids=["bytearray", "bytes", "global", "instance", "encodings", "dict", "text", "texts"],
 )
-def test_hostile_pickles(tmp_path, content):
-    path = tmp_path / "motion.pkl"
-    path.write_bytes(content)
+def test_hostile_pickles(pkl, content):
+    path = pkl(content)
     tracemalloc.start()
     try:
         with pytest.raises(MotionError):
@@ -398,10 +406,10 @@ def test_one_array(tmp_path, motion):
     assert_same(g1stream.load_motion(path, fps=50, joint_order="motor"), motion)
 
 
-def test_bodies_under_other_names(tmp_path, motion):
-    path, poses = tmp_path / "motion.npz", bodies(motion)
-    arrays = {"body_positions": poses["body_pos_w"], "body_rotations": poses["body_quat_w"]}
-    np.savez(path, fps=50, dof_positions=motion.joint_pos, dof_names=motion.joint_names, **arrays)
+def test_bodies_under_other_names(npz, motion):
+    pos, quat = bodies(motion).values()
+    arrays = {"dof_positions": motion.joint_pos, "dof_names": motion.joint_names}
+    path = npz(body_positions=pos, body_rotations=quat, **arrays)
     assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
 
 
@@ -410,18 +418,18 @@ WITHOUT_WRISTS = [i for i in range(29) if i not in WRISTS]
 
 
 @pytest.mark.parametrize("layout", ["names", "no names", "table", "CSV"])
-def test_wrists_that_a_file_leaves_out_stay_at_zero(tmp_path, motion, layout):
-    path = tmp_path / ("motion.csv" if layout == "CSV" else "motion.npz")
+def test_wrists_that_a_file_leaves_out_stay_at_zero(npz, tmp_path, motion, layout):
     angles, quat = motion.joint_pos[:, WITHOUT_WRISTS], motion.root_quat_wxyz
     if layout == "CSV":
         table = np.hstack([motion.root_pos, xyzw_from_wxyz(quat), angles])
+        path = tmp_path / "motion.csv"
         np.savetxt(path, table, "%.17g", delimiter=",")
     elif layout == "table":
-        np.savez(path, qpos=np.hstack([motion.root_pos, quat, angles]), fps=50)
+        path = npz(qpos=np.hstack([motion.root_pos, quat, angles]))
     else:
         names = [g1stream.JOINT_NAMES[i] for i in WITHOUT_WRISTS]
         named = {"joint_names": names} if layout == "names" else {}
-        np.savez(path, dof=angles, root_pos=motion.root_pos, root_quat=quat, fps=50, **named)
+        path = npz(dof=angles, root_pos=motion.root_pos, root_quat=quat, **named)
     found = g1stream.load_motion(path, fps=50)
     expected = motion.joint_pos.copy()
     expected[:, WRISTS] = 0.0
@@ -433,15 +441,12 @@ def test_wrists_that_a_file_leaves_out_stay_at_zero(tmp_path, motion, layout):
     assert g1stream.load_motion(path, robot=smaller).warnings == ()
 
 
-def test_the_joints_of_a_g1_with_23_are_read(tmp_path, motion):
-    path, present = tmp_path / "motion.npz", G1.load("g1_23dof").present
+def test_the_joints_of_a_g1_with_23_are_read(npz, motion):
+    present = G1.load("g1_23dof").present
     names = np.array(g1stream.JOINT_NAMES)[present]
-    np.savez(path, joint_pos=motion.joint_pos[:, present], joint_names=names, fps=50)
-    assert_same(
-        g1stream.load_motion(path),
-        replace(motion, joint_pos=motion.joint_pos * present),
-        root=False,
-    )
+    path = npz(joint_pos=motion.joint_pos[:, present], joint_names=names)
+    expected = replace(motion, joint_pos=motion.joint_pos * present)
+    assert_same(g1stream.load_motion(path), expected, root=False)
 
 
 #: The joints in 23 columns without names.
@@ -492,11 +497,9 @@ def test_which_23_joints_a_csv_has(tmp_path, motion, order, scale, asked, robot,
         assert f"--joint-order {other} " in warned[0]
 
 
-def test_an_order_of_23_joints_is_none_of_29(tmp_path, motion):
-    path = tmp_path / "motion.npz"
-    np.savez(path, q=motion.joint_pos, fps=50)
+def test_an_order_of_23_joints_is_none_of_29(npz, motion):
     with pytest.raises(MotionError, match="23 joints"):
-        g1stream.load_motion(path, joint_order="motor-23dof")
+        g1stream.load_motion(npz(q=motion.joint_pos), joint_order="motor-23dof")
 
 
 def test_limits_tell_the_23_joints_of_a_dance(tmp_path, real_clip):
@@ -505,22 +508,18 @@ def test_limits_tell_the_23_joints_of_a_dance(tmp_path, real_clip):
     assert_same(g1stream.load_motion(path), expected)
 
 
-def test_a_quaternion_before_the_position_is_told_by_its_norm(tmp_path, motion):
-    path = tmp_path / "motion.npz"
-    qpos = np.hstack([motion.root_quat_wxyz, motion.root_pos, motion.joint_pos])
-    np.savez(path, qpos=qpos, fps=50)
+def test_a_quaternion_before_the_position_is_told_by_its_norm(npz, motion):
+    path = npz(qpos=np.hstack([motion.root_quat_wxyz, motion.root_pos, motion.joint_pos]))
     found = g1stream.load_motion(path)
     assert_same(found, motion)
     assert found.warnings == ()
     assert "norm" in opened(path).evidence.used["pelvis"]
 
 
-def test_the_pose_of_an_object_behind_the_joints_is_left_out(tmp_path, motion):
-    path = tmp_path / "motion.npz"
-    ours = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos])
+def test_the_pose_of_an_object_behind_the_joints_is_left_out(npz, motion):
     box = np.tile([0.5, 0.1, 0.4, 1, 0, 0, 0], (motion.n_frames, 1))
-    np.savez(path, qpos=np.hstack([ours, box]), fps=50, cost=1.0, boxes=box, notes="none")
-    found = g1stream.load_motion(path)
+    qpos = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos, box])
+    found = g1stream.load_motion(npz(qpos=qpos, cost=1.0, boxes=box, notes="none"))
     assert_same(found, motion)
     (warning,) = found.warnings
     assert all(word in warning for word in ("7 columns of qpos", "cost", "boxes"))
@@ -552,11 +551,9 @@ def test_a_rate_in_the_name_is_a_hint_alone(tmp_path, motion, name, hinted):
     assert g1stream.load_motion(path, fps=60).warnings == ()
 
 
-def test_a_pelvis_that_lies_on_the_floor_is_no_evidence(tmp_path, motion):
+def test_a_pelvis_that_lies_on_the_floor_is_no_evidence(npz, motion):
     """On its side, it would stand in the other order of the quaternion."""
-    path = tmp_path / "motion.npz"
     side = np.tile([0.5**0.5, 0.5**0.5, 0, 0], (motion.n_frames, 1))
-    down = motion.root_pos - [0, 0, 0.65]
-    arrays = {"root_pos": down, "root_quat": side, "joint_names": motion.joint_names}
-    np.savez(path, q=motion.joint_pos, fps=50, **arrays)
+    pose = {"root_pos": motion.root_pos - [0, 0, 0.65], "root_quat": side}
+    path = npz(q=motion.joint_pos, joint_names=motion.joint_names, **pose)
     np.testing.assert_allclose(g1stream.load_motion(path).root_quat_wxyz, side, rtol=0, atol=1e-15)

@@ -25,15 +25,6 @@ from g1stream.robot.model import G1
 from g1stream.types import MotionFormat
 
 SUFFIX = {name: one.suffix for name, one in FORMATS.items()}
-#: The bodies that whole_body_tracking tracks, by which SONIC's numbers are to be told.
-TRACKED = [
-    "pelvis",
-    *("left_hip_roll_link", "left_knee_link", "left_ankle_roll_link"),
-    *("right_hip_roll_link", "right_knee_link", "right_ankle_roll_link"),
-    "torso_link",
-    *("left_shoulder_roll_link", "left_elbow_link", "left_wrist_yaw_link"),
-    *("right_shoulder_roll_link", "right_elbow_link", "right_wrist_yaw_link"),
-]
 
 
 class Body(NamedTuple):
@@ -97,9 +88,9 @@ def written(motion, name, directory, **how):
     return motion.save(path, format=name, force=True, **how)
 
 
-def samples(motion, fps):
-    """The times of a file's frames, from the first frame on, as far as there are frames."""
-    return np.arange(int(motion.duration * fps + 1e-9) + 1) / fps
+def arrays(*arguments, **how):
+    with np.load(written(*arguments, **how)) as file:
+        return {key: file[key] for key in file}
 
 
 def test_the_formats_of_others_are_those_that_the_flag_takes():
@@ -109,65 +100,48 @@ def test_the_formats_of_others_are_those_that_the_flag_takes():
 @pytest.mark.parametrize(
     ("name", "fps"), [("beyondmimic", np.int64), ("mjlab", np.float64), ("holosoma", np.int64)]
 )
-def test_arrays_names_and_types(wild_motion, tmp_path, oracle, name, fps):
-    """As the motion loaders of whole_body_tracking, mjlab and holosoma index them."""
-    n = len(samples(wild_motion, 50))
-    n_bodies, pose, rate = (31, 7, 6) if name == "holosoma" else (30, 0, 0)
-    with np.load(written(wild_motion, name, tmp_path)) as found:
-        shapes = {key: found[key].shape for key in found if not key.endswith("names")}
-        assert found["fps"].dtype == fps
-        assert found["fps"].tolist() == [50]
-        joints, bodies = found["joint_names"].tolist(), found["body_names"].tolist()
-        kinds = {found[key].dtype for key in shapes if key != "fps"}
-    assert kinds == {np.dtype(np.float32)}
-    assert shapes == {
-        "fps": (1,),
-        "joint_pos": (n, pose + 29),
-        "joint_vel": (n, rate + 29),
-        "body_pos_w": (n, n_bodies, 3),
-        "body_quat_w": (n, n_bodies, 4),
-        "body_lin_vel_w": (n, n_bodies, 3),
-        "body_ang_vel_w": (n, n_bodies, 3),
+def test_states_are_those_of_mujoco(wild_motion, tmp_path, oracle, name, fps):
+    """As the motion loaders of whole_body_tracking, mjlab and holosoma index them.
+
+    Linear velocities are of centres of mass, as PhysX has them, but of origins in mjlab.
+    """
+    found = arrays(wild_motion, name, tmp_path)
+    bodies, names = found.pop("body_names").tolist(), found.pop("joint_names").tolist()
+    assert (found["fps"].dtype, found.pop("fps").tolist()) == (fps, [50])
+    times = np.arange(int(wild_motion.duration * 50 + 1e-9) + 1) / 50
+    pose, rate = (7, 6) if name == "holosoma" else (0, 0)
+    assert {values.dtype for values in found.values()} == {np.dtype(np.float32)}
+    assert {key: values.shape for key, values in found.items()} == {
+        "joint_pos": (len(times), pose + 29),
+        "joint_vel": (len(times), rate + 29),
+        "body_pos_w": (len(times), len(bodies), 3),
+        "body_quat_w": (len(times), len(bodies), 4),
+        "body_lin_vel_w": (len(times), len(bodies), 3),
+        "body_ang_vel_w": (len(times), len(bodies), 3),
     }
     if name == "beyondmimic":
         assert bodies == oracle.breadth_first()
         assert [oracle.model.body(body).jntadr[0] for body in bodies[1:]] == [
-            oracle.model.joint(joint).id for joint in joints
+            oracle.model.joint(joint).id for joint in names
         ]
     else:
-        assert bodies[-30:] == oracle.names
-        assert joints == oracle.joints
-        assert bodies[0] == ("world" if name == "holosoma" else "pelvis")
-
-
-@pytest.mark.parametrize("name", ["beyondmimic", "mjlab", "holosoma"])
-def test_states_are_those_of_mujoco(wild_motion, tmp_path, oracle, name):
-    """Linear velocities are of centres of mass, as PhysX has them, but of origins in mjlab."""
-    trajectory = Trajectory(wild_motion)
-    with np.load(written(wild_motion, name, tmp_path)) as file:
-        found = {key: file[key] for key in file}
-    joints = [g1stream.JOINT_NAMES.index(one) for one in found["joint_names"].tolist()]
-    times = samples(wild_motion, 50)
-    assert len(times) == len(found["joint_pos"])
+        assert bodies == ["world"] * (name == "holosoma") + oracle.names
+        assert names == oracle.joints
+    joints = [JOINT_NAMES.index(one) for one in names]
     for i in range(0, len(times), 7):
-        point = trajectory.sample(times[i])
+        point = Trajectory(wild_motion).sample(times[i])
         expected = oracle.bodies(point)
-        close(found["joint_pos"][i, -29:], point.joint_pos[joints], 1e-6)
-        close(found["joint_vel"][i, -29:], point.joint_vel[joints], 1e-5)
-        for b, body in enumerate(found["body_names"].tolist()):
-            if body == "world":
-                assert not found["body_pos_w"][i, b].any()
-                assert found["body_quat_w"][i, b].tolist() == [1, 0, 0, 0]
-                continue
+        expected["world"] = Body(np.zeros(3), np.array([1.0, 0, 0, 0]), *np.zeros((3, 3)))
+        root = [*point.root_pos, *point.root_quat_wxyz], [*point.root_lin_vel, *point.root_ang_vel]
+        close(found["joint_pos"][i], [*root[0][:pose], *point.joint_pos[joints]], 1e-6)
+        close(found["joint_vel"][i], [*root[1][:rate], *point.joint_vel[joints]], 1e-5)
+        for b, body in enumerate(bodies):
             of = expected[body]
             lin_vel = of.lin_vel if name == "mjlab" else of.centre_vel
             close(found["body_pos_w"][i, b], of.pos, 1e-6)
             close(abs(found["body_quat_w"][i, b] @ of.quat), 1.0, 1e-6)
             close(found["body_lin_vel_w"][i, b], lin_vel, 1e-5)
             close(found["body_ang_vel_w"][i, b], of.ang_vel, 1e-5)
-        if name == "holosoma":
-            close(found["joint_pos"][i, :7], [*point.root_pos, *point.root_quat_wxyz], 1e-6)
-            close(found["joint_vel"][i, :6], [*point.root_lin_vel, *point.root_ang_vel], 1e-5)
 
 
 def close(found, expected, tolerance):
@@ -175,18 +149,16 @@ def close(found, expected, tolerance):
 
 
 def test_finite_velocities_are_differences_of_the_frames_in_the_file(wild_motion, tmp_path):
-    with np.load(written(wild_motion, "mjlab", tmp_path, velocities="finite")) as file:
-        found = {key: file[key].astype(float) for key in file if not key.endswith("names")}
-    close(found["joint_vel"], np.gradient(found["joint_pos"], 1 / 50, axis=0), 1e-4)
-    close(
-        found["body_lin_vel_w"][:, 0], np.gradient(found["body_pos_w"][:, 0], 1 / 50, axis=0), 1e-4
-    )
-    turned = Rotation.from_quat(found["body_quat_w"][:, 0][:, [1, 2, 3, 0]])
+    found = arrays(wild_motion, "mjlab", tmp_path, velocities="finite")
+    for pos, vel, n in (("joint_pos", "joint_vel", 29), ("body_pos_w", "body_lin_vel_w", 1)):
+        steps = np.gradient(found[pos][:, :n].astype(float), 1 / 50, axis=0)
+        close(found[vel][:, :n], steps, 1e-4)
+    turned = Rotation.from_quat(found["body_quat_w"][:, 0], scalar_first=True)
     turn = (turned[2:] * turned[:-2].inv()).as_rotvec() * 25
     close(found["body_ang_vel_w"][1:-1, 0], turn, 1e-4)
     assert (found["body_ang_vel_w"][[0, -1], 0] == found["body_ang_vel_w"][[1, -2], 0]).all()
-    with np.load(written(wild_motion, "mjlab", tmp_path)) as file:
-        assert np.abs(file["joint_vel"] - found["joint_vel"]).max() > 0.1
+    spline = arrays(wild_motion, "mjlab", tmp_path)
+    assert np.abs(spline["joint_vel"] - found["joint_vel"]).max() > 0.1
 
 
 def test_a_half_turn_between_frames_has_a_velocity(make_motion, tmp_path):
@@ -194,10 +166,9 @@ def test_a_half_turn_between_frames_has_a_velocity(make_motion, tmp_path):
     quat = np.tile([[1.0, 0, 0, 0], [0, 0, 0, 1.0]], (4, 1))
     motion = make_motion(np.zeros((8, 29)), quat=quat, fps=25)
     for one, speed in ((motion, 0.1), (make_motion(np.zeros((8, 29)), fps=25), 0.0)):
-        with np.load(written(one, "mjlab", tmp_path, velocities="finite")) as file:
-            assert np.isfinite(file["body_ang_vel_w"]).all()
-            most = np.abs(file["body_ang_vel_w"]).max()
-            assert most > speed if speed else most == 0.0
+        found = arrays(one, "mjlab", tmp_path, velocities="finite")["body_ang_vel_w"]
+        assert np.isfinite(found).all()
+        assert np.abs(found).max() > speed if speed else not found.any()
 
 
 def test_quaternions_are_continuous(make_motion, tmp_path):
@@ -205,8 +176,7 @@ def test_quaternions_are_continuous(make_motion, tmp_path):
     quat = np.stack([np.cos(3 * t), 0 * t, 0 * t, np.sin(3 * t)], axis=1)  # nearly three turns
     joints = np.zeros((91, 29))
     joints[:, 3] = 2.0 * np.sin(2 * t)
-    with np.load(written(make_motion(joints, quat=quat), "mjlab", tmp_path)) as file:
-        found = file["body_quat_w"]
+    found = arrays(make_motion(joints, quat=quat), "mjlab", tmp_path)["body_quat_w"]
     assert ((found[1:] * found[:-1]).sum(axis=-1) > 0.9).all()
 
 
@@ -240,11 +210,8 @@ def table(directory, name):
 def test_sonic(wild_motion, tmp_path):
     """As motion_reference.md of GR00T-WholeBodyControl says, with the body numbers of its clips."""
     path = written(wild_motion, "sonic", tmp_path)
-    with np.load(written(wild_motion, "beyondmimic", tmp_path)) as file:
-        whole = {key: file[key] for key in file}
-    names = whole["body_names"].tolist()
-    numbers = [names.index(name) for name in TRACKED]
-    assert numbers == [0, 4, 10, 18, 5, 11, 19, 9, 16, 22, 28, 17, 23, 29]
+    whole = arrays(wild_motion, "beyondmimic", tmp_path)
+    numbers = [0, 4, 10, 18, 5, 11, 19, 9, 16, 22, 28, 17, 23, 29]
     metadata = (path / "metadata.txt").read_text()
     n_frames = len(whole["joint_pos"])
     assert f"\nBody part indexes:\n[{' '.join(map(str, numbers))}]\n" in metadata
@@ -310,12 +277,7 @@ def test_gmr_is_what_its_viewer_indexes(wild_motion, tmp_path, oracle):
     assert content["root_pos"].flags.writeable
     names, local = content["link_body_list"], content["local_body_pos"]
     assert local.shape == (40, len(names), 3)
-    at_origin = replace(
-        wild_motion,
-        root_pos=np.zeros((40, 3)),
-        root_quat_wxyz=np.tile([1.0, 0, 0, 0], (40, 1)),
-    )
-    trajectory = Trajectory(at_origin)
+    trajectory = Trajectory(g1stream.Motion.from_arrays(wild_motion.joint_pos, fps=30))
     for frame in (0, 17, 39):
         bodies = oracle.bodies(trajectory.sample(frame / wild_motion.fps))
         for name, body in bodies.items():

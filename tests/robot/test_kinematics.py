@@ -18,23 +18,19 @@ def angle_between(quat, other):
     return (next(turns).inv() * next(turns)).magnitude()
 
 
-@pytest.fixture(params=["default", "tilted axes", "with hands"])
-def any_robot(request, robot, reference_urdf, tmp_path):
-    if request.param == "default":
-        return robot
-    if request.param == "with hands":
-        return G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf"))
-    path = tmp_path / "tilted.urdf"
-    path.write_text(robot.urdf.replace('<axis xyz="0 1 0"', '<axis xyz="0.48 -0.6 0.64"'))
-    return G1.load(path)
-
-
-def test_every_link_is_where_mujoco_has_it(any_robot, random_frames, compile_mujoco):
-    model = compile_mujoco(any_robot.urdf)
+@pytest.mark.parametrize("kind", ["default", "tilted axes", "with hands"])
+def test_every_link_is_where_mujoco_has_it(
+    robot, load, reference_urdf, random_frames, compile_mujoco, kind
+):
+    if kind == "tilted axes":
+        robot = load(robot.urdf.replace('<axis xyz="0 1 0"', '<axis xyz="0.48 -0.6 0.64"'))
+    elif kind == "with hands":
+        robot = G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf"))
+    model = compile_mujoco(robot.urdf)
     data = mujoco.MjData(model)
-    joints = [model.joint(name).qposadr[0] for name in any_robot.joint_names]
-    bodies = [model.body(name).id for name in any_robot.link_names]
-    poses = forward_kinematics(any_robot, *random_frames)
+    joints = [model.joint(name).qposadr[0] for name in robot.joint_names]
+    bodies = [model.body(name).id for name in robot.link_names]
+    poses = forward_kinematics(robot, *random_frames)
     for frame, (joint_pos, root_pos, root_quat) in enumerate(zip(*random_frames, strict=True)):
         data.qpos[:3], data.qpos[3:7], data.qpos[joints] = root_pos, root_quat, joint_pos
         mujoco.mj_kinematics(model, data)

@@ -3,7 +3,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import fields
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -33,11 +32,9 @@ def test_the_default_robot_and_motions_need_no_heavy_import():
     assert out.stdout.strip() == "[]"
 
 
-def test_loading_the_default_by_path_gives_the_same_tree(robot, tmp_path):
-    path = tmp_path / "copy.urdf"
-    path.write_text(robot.urdf, encoding="utf-8")
-    loaded = G1.load(path)
-    assert loaded.source == str(path)
+def test_loading_the_default_by_path_gives_the_same_tree(robot, load, tmp_path):
+    loaded = load(robot.urdf)
+    assert loaded.source == str(tmp_path / "some.urdf")
     assert_same_model(loaded, robot)
 
 
@@ -71,13 +68,11 @@ def test_unitrees_own_urdf_is_the_default_robot(robot, reference_urdf):
     assert_same_model(theirs, robot)
 
 
-def test_order_of_elements_does_not_matter(robot, tmp_path):
+def test_order_of_elements_does_not_matter(robot, load):
     """Joints before links, children before parents: the tree is the same up to the order."""
     root = ET.fromstring(robot.urdf)
     root[:] = reversed(root)
-    path = Path(tmp_path, "reversed.urdf")
-    path.write_text(ET.tostring(root, encoding="unicode"))
-    turned = G1.load(path)
+    turned = load(ET.tostring(root, encoding="unicode"))
     assert set(turned.link_names) == set(robot.link_names)
     for name in robot.link_names[1:]:
         ours, theirs = robot.link_index(name), turned.link_index(name)
@@ -86,16 +81,15 @@ def test_order_of_elements_does_not_matter(robot, tmp_path):
         assert robot.link_names[robot.parent[ours]] == turned.link_names[turned.parent[theirs]]
 
 
-def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(tmp_path, robot):
+def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(load, robot):
     """And those that are narrower are kept."""
     root = ET.fromstring(robot.urdf)
     wider, narrower = JOINT_NAMES[3], JOINT_NAMES[12]
     for name, *limits in ((wider, -9, 9, 900, 5000), (narrower, -1, 1, 5, 20)):
         limit = root.find(f"joint[@name='{name}']/limit").attrib
         limit.update(zip(("lower", "upper", "velocity", "effort"), map(str, limits), strict=True))
-    path = tmp_path / "strong.urdf"
-    path.write_text(ET.tostring(root, encoding="unicode"))
-    loaded, own = G1.load(path), G1.load(path, own_limits=True)
+    urdf = ET.tostring(root, encoding="unicode")
+    loaded, own = load(urdf), load(urdf, own_limits=True)
     for name in ("lower", "upper", "velocity", "effort"):
         widest = max if name != "lower" else min
         builtin = [getattr(G1.load(revision), name) for revision in REVISIONS]
@@ -107,14 +101,13 @@ def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(tmp_path, ro
     assert own.warning == ""
 
 
-def test_a_range_outside_that_of_a_g1_is_refused(tmp_path, robot):
+def test_a_range_outside_that_of_a_g1_is_refused(load, robot):
     root = ET.fromstring(robot.urdf)
     root.find("joint[@name='left_elbow_joint']/limit").attrib.update(lower="3", upper="4")
-    path = tmp_path / "elsewhere.urdf"
-    path.write_text(ET.tostring(root, encoding="unicode"))
+    urdf = ET.tostring(root, encoding="unicode")
     with pytest.raises(RobotError, match="left_elbow_joint"):
-        G1.load(path)
-    assert G1.load(path, own_limits=True).lower[18] == 3.0
+        load(urdf)
+    assert load(urdf, own_limits=True).lower[18] == 3.0
 
 
 @pytest.fixture(params=VARIANTS)
@@ -154,7 +147,7 @@ def test_a_selection_of_what_a_robot_lacks_is_refused():
         G1.load("g1_dual_arm").select("legs")
 
 
-def test_a_urdf_that_knows_23_joints_only_is_read(tmp_path, robot):
+def test_a_urdf_that_knows_23_joints_only_is_read(load, robot):
     root = ET.fromstring(robot.urdf)
     gone = {"waist_roll_joint", "waist_pitch_joint"}
     gone |= {f"{s}_wrist_{p}_joint" for s in ("left", "right") for p in ("pitch", "yaw")}
@@ -162,9 +155,7 @@ def test_a_urdf_that_knows_23_joints_only_is_read(tmp_path, robot):
         if joint.get("name") in gone:
             joint.set("type", "fixed")
             joint.set("name", f"{joint.get('name')}_fixed")
-    path = tmp_path / "own.urdf"
-    path.write_bytes(ET.tostring(root))
-    own = G1.load(path)
+    own = load(ET.tostring(root, encoding="unicode"))
     assert own.joint_set.mode_machine == 4
     assert not own.capped
 

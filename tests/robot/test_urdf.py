@@ -51,16 +51,6 @@ EDITS = {
 }
 
 
-@pytest.fixture
-def load(tmp_path):
-    def load_text(text):
-        path = tmp_path / "some.urdf"
-        path.write_text(text, encoding="utf-8")
-        return G1.load(path)
-
-    return load_text
-
-
 @pytest.mark.parametrize(("old", "new", "cause"), EDITS.values(), ids=EDITS)
 def test_one_defect_one_error(robot, load, old, new, cause):
     assert old in robot.urdf

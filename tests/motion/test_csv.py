@@ -117,29 +117,25 @@ def header(change):
     return lambda text: change(text.split("\n", 1)[0]) + "\n" + text.split("\n", 1)[1]
 
 
-@pytest.mark.parametrize(
-    "spelling",
-    [
-        lambda text: text.replace("\n", "\r\n"),
-        lambda text: text.replace("\n", "\r"),
-        lambda text: "\ufeff" + text,
-        lambda text: text.rstrip("\n"),
-        lambda text: text + "\n  \n\r\n",
-        lambda text: text.replace(",", " , "),
-        lambda text: text.replace(",", ",\t"),
-        lambda text: text.replace(",", " "),
-        header(lambda line: f"# {line}"),
-        header(lambda line: f"# of a dance\n# {line}"),
-        header(lambda line: ",".join(f'"{name}"' for name in line.split(","))),
-        header(lambda line: line.lower().replace("_joint", "")),
-        header(lambda line: line.removeprefix("Frame")),
-        header(lambda line: line.replace("Q", "root_quat_").replace(",X,", ",root_pos_x,")),
-    ],
-    ids=[
-        *("crlf", "cr", "bom", "no last newline", "blank last lines", "spaces", "tabs"),
-        *("no commas", "comment", "comments", "quotes", "without _joint", "pandas", "other names"),
-    ],
-)
+SPELLINGS = {
+    "crlf": lambda text: text.replace("\n", "\r\n"),
+    "cr": lambda text: text.replace("\n", "\r"),
+    "bom": lambda text: "\ufeff" + text,
+    "no last newline": lambda text: text.rstrip("\n"),
+    "blank last lines": lambda text: text + "\n  \n\r\n",
+    "spaces": lambda text: text.replace(",", " , "),
+    "tabs": lambda text: text.replace(",", ",\t"),
+    "no commas": lambda text: text.replace(",", " "),
+    "comment": header(lambda line: f"# {line}"),
+    "comments": header(lambda line: f"# of a dance\n# {line}"),
+    "quotes": header(lambda line: ",".join(f'"{name}"' for name in line.split(","))),
+    "without _joint": header(lambda line: line.lower().replace("_joint", "")),
+    "pandas": header(lambda line: line.removeprefix("Frame")),
+    "others": header(lambda x: x.replace("Q", "root_quat_").replace(",X,", ",root_pos_x,")),
+}
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS.values(), ids=SPELLINGS)
 def test_spellings_of_the_same_file(load, spelling):
     content = csv(rows_of(4))
     assert_same(load(spelling(content)), load(content))

@@ -129,10 +129,6 @@ def test_whole_numbers_do_for_others(write):
     assert load_config(write("[stream]\nrate = 100")).stream.rate == 100.0
 
 
-def test_nothing_given_is_the_defaults(write):
-    assert load_config() == load_config(write("")) == Config()
-
-
 def test_flags_go_over_the_file_and_the_file_over_the_defaults(write):
     path = write("[stream]\nrate = 100.0\nramp = 5.0\n[dds]\ndomain = 7\n")
     over = {"stream.rate": 250.0, "sim.support": "hanging", "robot": Path("my.urdf")}

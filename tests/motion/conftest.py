@@ -1,27 +1,16 @@
-"""Motions to test with, made by hand, and the one real clip of the team."""
-
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import pytest
 
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import G1
+from known_robots import robot
 
+__all__ = ["robot"]
 SHARED_CLIP = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
-
-
-class MakeMotion(Protocol):
-    def __call__(self, joint_pos, root_pos=..., quat=..., fps=...): ...
-
-
-@pytest.fixture(scope="session")
-def robot():
-    return G1.default()
 
 
 @pytest.fixture

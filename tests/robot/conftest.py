@@ -1,9 +1,9 @@
 import pytest
 
 from g1stream.robot.model import G1
-from known_robots import compile_mujoco, random_frames, reference_urdf, robot
+from known_robots import compile_mujoco, random_frames, real_clip, reference_urdf, robot
 
-__all__ = ["compile_mujoco", "random_frames", "reference_urdf", "robot"]
+__all__ = ["compile_mujoco", "random_frames", "real_clip", "reference_urdf", "robot"]
 
 
 @pytest.fixture

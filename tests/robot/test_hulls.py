@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import os
 import tempfile
 from itertools import combinations
@@ -11,13 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from g1stream.motion.readers import load_motion
 from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.hulls import Hull, SelfCollision, add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
 
-LAFAN = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
 PEERS = Path(os.environ.get("PEERS") or Path(tempfile.gettempdir(), "peers"))
 SCENE = PEERS / "unitree_mujoco/unitree_robots/g1/scene_29dof.xml"
 HANDS = ("left_rubber_hand", "right_rubber_hand")
@@ -116,20 +115,16 @@ def deepest(model, data):
     return found
 
 
-@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
 @pytest.mark.skipif(not SCENE.exists(), reason="unitree_mujoco is not set up in PEERS")
-def test_dance_touches_itself_as_in_unitree_mujoco():
+def test_dance_touches_itself_as_in_unitree_mujoco(real_clip):
     """The same links in the same frames, none deeper, and shallower by twice 0.5 mm at most."""
     robot = G1.load("g1_29dof")
     collision = SelfCollision(robot, [hull for hull in read_hulls(robot) if hull.solid])
     model = mujoco.MjModel.from_xml_path(str(SCENE))
     data = mujoco.MjData(model)
     joints = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
-    with LAFAN.open() as file:
-        rows = list(csv.reader(file))
-    assert tuple(rows[0][8:]) == JOINT_NAMES
     compared = 0
-    for pose in np.array(rows[1:601], dtype=float)[:, 8:]:
+    for pose in load_motion(real_clip).joint_pos[:600]:
         data.qpos[2], data.qpos[joints] = 5.0, pose
         theirs = deepest(model, data)
         ours = {frozenset(pair): depth for pair, depth in depths(collision, pose).items()}

@@ -5,9 +5,9 @@ import pytest
 
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
 from g1stream.sim.world import MotorCommand
-from known_robots import reference_urdf, robot
+from known_robots import real_clip, reference_urdf, robot
 
-__all__ = ["reference_urdf", "robot"]
+__all__ = ["real_clip", "reference_urdf", "robot"]
 
 
 @pytest.fixture

@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
 from g1stream.errors import SimError
+from g1stream.motion.readers import load_motion
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
@@ -15,7 +13,6 @@ from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.sim.model import TORQUE_LIMIT
 from g1stream.sim.world import MotorCommand, World
 
-LAFAN = Path(__file__).parents[2].parent / "shared" / "lafan1" / "joints_labeled.csv"
 GRAVITY = 9.81
 
 
@@ -169,21 +166,15 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, r
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
-@pytest.mark.parametrize(("support", "worst"), [("bolted", 0.09), ("hanging", 0.047)])
-def test_dance_is_followed_as_by_unitree_mujoco(robot, support, worst, servo, run):
-    """Unitree's gains, q and dq at 500 Hz; the bounds are what their simulators reach."""
-    fps = 30
-    with LAFAN.open() as file:
-        rows = list(csv.reader(file))
-    assert tuple(rows[0][8:]) == JOINT_NAMES
-    frames = np.array(rows[1:602], dtype=float)[:, 8:]
-    world = World(robot, support, joint_pos=frames[0])
+def test_dance_is_followed_as_by_unitree_mujoco(robot, real_clip, servo):
+    """Unitree's gains, q and dq at 500 Hz; the bound is what their simulators reach."""
+    fps, frames = 30, load_motion(real_clip).joint_pos[:601]
+    world = World(robot, "hanging", joint_pos=frames[0])
     errors = []
     for tick in range(round(500 * (len(frames) - 1) / fps)):
         index, part = divmod(tick / 500 * fps, 1)
         here, there = frames[int(index)], frames[int(index) + 1]
         q = here + part * (there - here)
         errors.append(world.state().q - q)
-        run(world, servo(q=q, dq=(there - here) * fps), 1 / 500)
-    assert np.sqrt(np.mean(np.square(errors))) < worst
+        world.step(servo(q=q, dq=(there - here) * fps), 2)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.047

@@ -3,7 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
+from g1stream.dds.messages import LowCmd
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
+from g1stream.sim.robot import MODE_MACHINE_29
 from g1stream.sim.world import MotorCommand
 from known_robots import real_clip, reference_urdf, robot
 
@@ -31,6 +33,17 @@ def servo():
         return MotorCommand(np.broadcast_to(enabled, N_JOINTS), *numbers)
 
     return make
+
+
+@pytest.fixture
+def command():
+    """A LowCmd that moves the left knee to 0.5 rad."""
+    command = LowCmd()
+    command.motor_mode = 1
+    command.mode_machine[()] = MODE_MACHINE_29
+    command.kp[:], command.kd[:] = 60.0, 2.0
+    command.q[JOINT_NAMES.index("left_knee_joint")] = 0.5
+    return command
 
 
 @pytest.fixture(scope="session")

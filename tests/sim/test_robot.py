@@ -7,7 +7,7 @@ import pytest
 
 from g1stream.app.sim import make_world
 from g1stream.config import SimConfig
-from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.dds.messages import LowState, SecondaryImu, SportModeState
 from g1stream.robot.rotations import quat_to_rpy
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
@@ -87,9 +87,9 @@ def test_noise_has_the_size_of_the_settings_and_is_in_what_is_published_only(wor
     assert not world.state().q.any()
 
 
-def test_commands_are_obeyed_later(world):
+def test_commands_are_obeyed_later(world, command):
     simulated = SimulatedRobot(world, SimConfig(command_delay=0.02))
-    run(simulated, range(10), good_command().seal())
+    run(simulated, range(10), command.seal())
     assert simulated.report.commands == 0
     assert world.state().q[KNEE] < 0.01
     run(simulated, range(10, 20))
@@ -98,25 +98,16 @@ def test_commands_are_obeyed_later(world):
 
 
 @pytest.mark.parametrize(("late", "obeyed"), [(0.49, 1), (0.51, 0)])
-def test_a_delayed_command_is_obeyed_at_the_nearest_tick(world, late, obeyed):
+def test_a_delayed_command_is_obeyed_at_the_nearest_tick(world, command, late, obeyed):
     simulated = SimulatedRobot(world, SimConfig(command_delay=0.02))
-    simulated.receive_command(good_command().seal(), round(late * PERIOD))
+    simulated.receive_command(command.seal(), round(late * PERIOD))
     simulated.step(10 * PERIOD)
     assert simulated.report.commands == obeyed
 
 
-def good_command():
-    command = LowCmd()
-    command.motor_mode = 1
-    command.mode_machine[()] = MODE_MACHINE_29
-    command.kp[:], command.kd[:] = 60.0, 2.0
-    command.q[KNEE] = 0.5
-    return command
-
-
-def test_a_valid_command_moves_the_joint(simulated, world, caplog):
+def test_a_valid_command_moves_the_joint(simulated, world, command, caplog):
     caplog.set_level(logging.INFO)
-    run(simulated, range(400), good_command().seal())
+    run(simulated, range(400), command.seal())
     assert world.state().q[KNEE] == pytest.approx(0.5, abs=0.2)
     assert simulated.report.commands == 400
     assert not simulated.report.refused
@@ -132,8 +123,9 @@ def test_a_valid_command_moves_the_joint(simulated, world, caplog):
         ("not finite", "q", np.nan),
     ],
 )
-def test_an_invalid_command_is_refused_and_logged(simulated, world, caplog, reason, field, value):
-    command = good_command()
+def test_an_invalid_command_is_refused_and_logged(
+    simulated, world, command, caplog, reason, field, value
+):
     getattr(command, field)[...] = value
     run(simulated, (*range(49), 500), command.tobytes() if reason == "CRC" else command.seal())
     assert simulated.report.commands == 0
@@ -145,8 +137,7 @@ def test_an_invalid_command_is_refused_and_logged(simulated, world, caplog, reas
     assert all(record.levelno == logging.WARNING for record in caplog.records)
 
 
-def test_disabled_motors_give_no_torque(simulated, world, caplog):
-    command = good_command()
+def test_disabled_motors_give_no_torque(simulated, world, command, caplog):
     command.motor_mode = 0
     run(simulated, range(100), command.seal())
     assert not world.state().tau_est.any()
@@ -154,11 +145,10 @@ def test_disabled_motors_give_no_torque(simulated, world, caplog):
 
 
 @pytest.mark.parametrize(("kp", "level"), [(60.0, logging.WARNING), (0.0, logging.INFO)])
-def test_without_commands_the_motors_only_damp(world, caplog, kp, level):
+def test_without_commands_the_motors_only_damp(world, command, caplog, kp, level):
     """Which is no fault after commands that only damp."""
     caplog.set_level(logging.INFO)
     simulated = SimulatedRobot(world, SimConfig(command_timeout=0.1))
-    command = good_command()
     command.kp[:] = kp
     run(simulated, range(150), command.seal())
     run(simulated, range(150, 300))

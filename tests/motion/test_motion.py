@@ -9,7 +9,6 @@ import pytest
 from g1stream.errors import G1StreamError, MotionError
 from g1stream.motion.motion import Motion, height_of_floor
 from g1stream.motion.readers import load_motion
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -104,22 +103,6 @@ def test_from_arrays_with_a_root_and_names_in_another_order():
 def test_from_arrays_that_do_not_fit(joint_pos, names, offender):
     with pytest.raises(MotionError, match=offender):
         Motion.from_arrays(joint_pos, fps=30, joint_names=names)
-
-
-@pytest.mark.parametrize(("fps", "n_frames"), [(100.0, 131), (30.0, 40)])
-def test_resampled_frames_are_those_of_the_trajectory(wild_motion, fps, n_frames):
-    resampled = wild_motion.resample(fps)
-    assert (resampled.fps, resampled.n_frames, resampled.name) == (fps, n_frames, "made")
-    point = Trajectory(wild_motion).sample_many(np.arange(n_frames) / fps)
-    np.testing.assert_allclose(resampled.joint_pos, point.joint_pos, atol=1e-12)
-    np.testing.assert_allclose(resampled.root_pos, point.root_pos, atol=1e-12)
-    np.testing.assert_allclose(resampled.root_quat_wxyz, point.root_quat_wxyz, atol=1e-12)
-
-
-@pytest.mark.parametrize("fps", [0.0, 0.1])
-def test_invalid_frame_rates_to_resample_at(wild_motion, fps):
-    with pytest.raises(MotionError, match="made"):
-        wild_motion.resample(fps)
 
 
 @pytest.mark.parametrize("name", ["walk.bvh", "missing/walk.csv"])

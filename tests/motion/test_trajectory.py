@@ -132,7 +132,7 @@ def test_pieces_and_parts_are_those_of_the_spline_through_all_frames(rate):
 
 
 @pytest.mark.parametrize(
-    ("rate", "fps"), [(100.0, 30.0), (29.97, 30.0), (60.0, 29.97), (3.0, 30.0)]
+    ("rate", "fps"), [(100.0, 30.0), (29.97, 30.0), (60.0, 29.97), (3.0, 30.0), (30.0, 30.0)]
 )
 def test_all_samples_between_the_first_and_the_last_frame(rate, fps):
     numbers, _ = collected(made(300, fps), rate, 100, 290)

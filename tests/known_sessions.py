@@ -4,8 +4,6 @@ Each joint is asked for a sine; the measurement is the same sine, later and besi
 whole number of periods and the states divide it evenly, so that means over PLAY are exact.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

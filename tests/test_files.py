@@ -180,12 +180,13 @@ def test_a_directory_that_may_not_be_written(locked, mode):
     refused = locked(
         mode,
         "check_output_path(path, force=True)",
+        "check_output_path(path.with_name('new'), force=True)",
         "check_recording_path(path, split=True, force=True)",
         "SessionWriter(path, force=True)",
         "SessionWriter(path, force=True, split_bytes=1)",
         "SessionWriter(path.with_name('new'))",
     )
-    assert ["permission" in line for line in refused] == [True] * 5
+    assert ["permission" in line for line in refused] == [True] * 6
 
 
 def test_a_directory_that_may_not_be_read(locked):

@@ -50,9 +50,12 @@ def assert_same(motion, other):
         np.testing.assert_array_equal(getattr(motion, name), getattr(other, name))
 
 
+FIVE = csv(rows_of(5))
+
+
 def changed(line, column, cell):
     """Five good frames but for one cell; lines and columns counted from 1."""
-    lines = csv(rows_of(5)).split("\n")
+    lines = FIVE.split("\n")
     cells = lines[line - 1].split(",")
     cells[column - 1] = cell
     lines[line - 1] = ",".join(cells)

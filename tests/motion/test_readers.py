@@ -26,6 +26,11 @@ def test_paths_that_are_not_readable_files(tmp_path, make):
         load_motion(path)
 
 
+def test_a_directory_is_told_from_a_bag(tmp_path):
+    with pytest.raises(MotionError, match=r"metadata\.yaml"):
+        load_motion(tmp_path)
+
+
 @pytest.mark.parametrize("name", [f"{'a' * 300}:b", "a\0:b", ":", "a:"])
 def test_names_that_no_file_can_have(name):
     with pytest.raises(MotionError):

@@ -166,7 +166,7 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, r
 @pytest.mark.slow
 def test_dance_is_followed_as_by_unitree_mujoco(robot, real_clip, servo):
     """Unitree's gains, q and dq at 500 Hz; the bound is what their simulators reach."""
-    fps, frames = 30, load_motion(real_clip).joint_pos[:301]
+    fps, frames = 30, load_motion(real_clip).joint_pos[:601]
     world = World(robot, "hanging", joint_pos=frames[0])
     errors = []
     for tick in range(round(500 * (len(frames) - 1) / fps)):

@@ -118,7 +118,8 @@ def test_a_file_is_replaced_only_when_forced(tmp_path):
 
 def test_a_file_that_appears_in_the_meantime_is_not_replaced(tmp_path):
     def slowly():
-        with complete_file(tmp_path / "f", force=False):
+        with complete_file(tmp_path / "f", force=False) as temporary:
+            temporary.write_bytes(b"new")
             (tmp_path / "f").write_bytes(b"old")
 
     with pytest.raises(RecordingError):

@@ -1,5 +1,3 @@
-"""Robots and random motions, as fixtures."""
-
 from __future__ import annotations
 
 import sysconfig
@@ -21,6 +19,9 @@ if TYPE_CHECKING:
 REFERENCE_DIR = Path(
     sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots/g1_description"
 )
+
+
+CLIP = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
 
 
 class Frames(NamedTuple):
@@ -45,6 +46,14 @@ def reference_urdf():
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def real_clip():
+    """3,945 frames of a dance at 30 fps, retargeted to the G1; too big a file of others to ship."""
+    if not CLIP.exists():
+        pytest.skip(f"the LAFAN1 clip is not at {CLIP}")
+    return CLIP
 
 
 @pytest.fixture

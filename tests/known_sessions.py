@@ -4,8 +4,6 @@ Each joint is asked for a sine; the measurement is the same sine, later and besi
 whole number of periods and the states divide it evenly, so that means over PLAY are exact.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -63,13 +61,9 @@ def _reference(motion, phases):
         phase=phase,
         played=np.full(n, 2**29 - 1, np.uint32),
         q=q,
-        dq=np.zeros_like(q),
-        ddq=np.zeros_like(q),
-        tau=np.zeros_like(q),
-        root_pos=np.zeros((n, 3)),
+        **{name: np.zeros_like(q) for name in ("dq", "ddq", "tau")},
         root_quat_wxyz=np.tile([1.0, 0, 0, 0], (n, 1)),
-        root_lin_vel=np.zeros((n, 3)),
-        root_ang_vel=np.zeros((n, 3)),
+        **{name: np.zeros((n, 3)) for name in ("root_pos", "root_lin_vel", "root_ang_vel")},
     )
 
 
@@ -81,12 +75,9 @@ def _measured(seconds, q):
         tick=np.zeros(n, dtype=np.uint32),
         mode_machine=np.zeros(n, dtype=np.uint8),
         q=q,
-        dq=np.zeros_like(q),
-        ddq=np.zeros_like(q),
-        tau=np.zeros_like(q),
+        **{name: np.zeros_like(q) for name in ("dq", "ddq", "tau")},
         imu_quat_wxyz=np.tile([1.0, 0, 0, 0], (n, 1)),
-        gyroscope=np.zeros((n, 3)),
-        accelerometer=np.zeros((n, 3)),
+        **{name: np.zeros((n, 3)) for name in ("gyroscope", "accelerometer")},
     )
 
 

@@ -1,7 +1,3 @@
-"""Events are handled off the thread that logs, whatever a handler does."""
-
-from __future__ import annotations
-
 import logging
 import threading
 

@@ -1,7 +1,3 @@
-"""The fakes that are public drive a whole session, as their documentation shows."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

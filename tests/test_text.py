@@ -1,13 +1,4 @@
-"""Numbers of things and what a terminal would obey."""
-
-import pytest
-
-from g1stream.text import counted, printable, ranges
-
-
-@pytest.mark.parametrize(("n", "text"), [(0, "0 ticks"), (1, "1 tick"), (2, "2 ticks")])
-def test_a_number_of_things(n, text):
-    assert counted(n, "tick") == text
+from g1stream.text import printable, ranges
 
 
 def test_what_a_terminal_would_obey_is_escaped():

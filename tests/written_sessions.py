@@ -1,7 +1,5 @@
 """Session files made of samples whose figures are known."""
 
-from __future__ import annotations
-
 import pytest
 
 from g1stream.session.format import encode_log

@@ -1,27 +1,11 @@
-"""Motions to test with, made by hand, and the one real clip of the team."""
-
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Protocol
-
 import numpy as np
 import pytest
 
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import G1
+from known_robots import real_clip, robot
 
-SHARED_CLIP = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
-
-
-class MakeMotion(Protocol):
-    def __call__(self, joint_pos, root_pos=..., quat=..., fps=...): ...
-
-
-@pytest.fixture(scope="session")
-def robot():
-    return G1.default()
+__all__ = ["real_clip", "robot"]
 
 
 @pytest.fixture
@@ -51,11 +35,3 @@ def wild_motion(make_motion):
     quat = np.array([1.0, 0.3, -0.2, 0.5]) + np.cumsum(rng.normal(size=(40, 4)) * 0.08, axis=0)
     joints = np.cumsum(rng.normal(size=(40, len(JOINT_NAMES))) * 0.05, axis=0)
     return make_motion(joints, np.cumsum(rng.normal(size=(40, 3)) * 0.02, axis=0), quat)
-
-
-@pytest.fixture(scope="session")
-def real_clip():
-    """3,945 frames of a dance at 30 fps, retargeted to the G1; too big a file of others to ship."""
-    if not SHARED_CLIP.exists():
-        pytest.skip(f"the LAFAN1 clip is not at {SHARED_CLIP}")
-    return SHARED_CLIP

@@ -1,7 +1,3 @@
-"""Minimum jerk and coasting against finite differences, and the seam of a loop."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -20,29 +16,21 @@ def at_rest_at_both_ends(make_motion):
     return make_motion(x * [1.2, -0.4], x * [1.0, 0.0, 0.0], quat)
 
 
-def test_a_loop_repeats(wild_motion):
-    trajectory = Trajectory(wild_motion, loop=True)
-    times = np.linspace(0.0, trajectory.period, 300, endpoint=False)
-    first, third = (
-        trajectory.sample_many(times),
-        trajectory.sample_many(times + 2 * trajectory.period),
-    )
-    for once, again in zip(first, third, strict=True):
-        np.testing.assert_allclose(once, again, rtol=1e-7, atol=1e-7)
-
-
-def test_a_loop_keeps_the_frames_of_the_motion(wild_motion):
+def test_a_loop_keeps_the_frames_of_the_motion_and_repeats(wild_motion):
     trajectory = Trajectory(wild_motion, loop=True)
     assert trajectory.duration == wild_motion.duration
-    point = trajectory.sample_many(np.arange(wild_motion.n_frames) / wild_motion.fps)
-    np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(point.root_pos, wild_motion.root_pos, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(point.root_quat_wxyz, wild_motion.root_quat_wxyz, atol=1e-12)
+    times = np.arange(wild_motion.n_frames) / wild_motion.fps
+    once, again = (trajectory.sample_many(times + n * trajectory.period) for n in (0, 2))
+    for name in ("joint_pos", "root_pos", "root_quat_wxyz"):
+        expected = getattr(wild_motion, name)
+        np.testing.assert_allclose(getattr(once, name), expected, rtol=0, atol=1e-12)
+    for first, third in zip(once, again, strict=True):
+        np.testing.assert_allclose(first, third, rtol=1e-7, atol=1e-7)
 
 
-def test_between_two_rests_the_seam_is_monotonic(at_rest_at_both_ends):
+def test_between_two_rests_the_seam_is_monotonic_and_keeps_its_peak_speed(at_rest_at_both_ends):
     trajectory = Trajectory(at_rest_at_both_ends, loop=True)
-    seam = np.linspace(trajectory.duration, trajectory.period, 400)
+    seam = np.linspace(trajectory.duration, trajectory.period, 1000)
     point = trajectory.sample_many(seam)
     way = 1.2 - point.joint_pos[:, 0]
     assert way[0] == pytest.approx(0.0, abs=1e-12)
@@ -52,12 +40,6 @@ def test_between_two_rests_the_seam_is_monotonic(at_rest_at_both_ends):
     np.testing.assert_allclose(point.root_pos[:, 0] * 1.2, point.joint_pos[:, 0], atol=1e-12)
     yaw = Rotation.from_quat(point.root_quat_wxyz, scalar_first=True).as_rotvec()[:, 2]
     np.testing.assert_allclose(yaw / (np.pi / 2), point.root_pos[:, 0], atol=1e-4)
-
-
-def test_the_seam_keeps_its_peak_speed(at_rest_at_both_ends):
-    trajectory = Trajectory(at_rest_at_both_ends, loop=True)
-    seam = np.linspace(trajectory.duration, trajectory.period, 1000)
-    point = trajectory.sample_many(seam)
     fastest = np.abs(point.root_ang_vel).max()
     assert 1.4 < fastest < 1.51
     assert np.abs(point.joint_vel).max() < fastest
@@ -88,7 +70,7 @@ def test_an_end_in_motion_overshoots_by_a_fifth_of_its_coast(make_motion, end):
         assert angle.min() > -1e-3
 
 
-@pytest.mark.parametrize(("n_frames", "fps"), [(2, 30.0), (3, 1.0), (5, 240.0)])
+@pytest.mark.parametrize(("n_frames", "fps"), [(2, 30.0), (3, 1.0)])
 def test_short_motions_loop_too(make_motion, n_frames, fps):
     motion = make_motion(np.arange(n_frames)[:, None] * 0.1, fps=fps)
     trajectory = Trajectory(motion, loop=True)
@@ -105,29 +87,21 @@ def test_minimum_jerk_starts_and_ends_at_rest():
     assert minimum_jerk(0.5) == (0.5, 1.875, 0.0)
 
 
-@pytest.mark.parametrize("s", np.linspace(0.01, 0.99, 15))
-def test_minimum_jerk_derivatives_are_finite_differences(s):
-    before, here, after = (np.array(minimum_jerk(s + d)) for d in (-STEP, 0.0, STEP))
-    difference = (after - before) / (2 * STEP)
-    assert here[1] == pytest.approx(difference[0], abs=1e-8)
-    assert here[2] == pytest.approx(difference[1], abs=1e-7)
-
-
 def test_coasting_starts_with_unit_velocity_and_ends_where_it_started():
     assert coast(0.0, 0.2) == (0.0, 1.0, 0.0)
     assert coast(0.2, 0.2) == coast(7.0, 0.2) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("seconds", np.linspace(0.01, 0.19, 7))
-def test_coasting_derivatives_are_finite_differences(seconds):
-    before, here, after = (np.array(coast(seconds + d, 0.2)) for d in (-STEP, 0.0, STEP))
+@pytest.mark.parametrize(
+    ("polynomial", "end", "near"),
+    [(minimum_jerk, 1.0, (1e-8, 1e-7)), (lambda x: coast(x, 0.2), 0.2, (1e-6, 1e-4))],
+)
+def test_derivatives_are_finite_differences_of_numbers_and_arrays(polynomial, end, near):
+    at = np.linspace(0.01, end - 0.01, 15)
+    before, here, after = (np.array(polynomial(at + d)) for d in (-STEP, 0.0, STEP))
     difference = (after - before) / (2 * STEP)
-    assert here[1] == pytest.approx(difference[0], abs=1e-6)
-    assert here[2] == pytest.approx(difference[1], abs=1e-4)
-
-
-@pytest.mark.parametrize("polynomial", [minimum_jerk, lambda x: coast(x, 0.2)])
-def test_numbers_and_arrays_give_the_same(polynomial):
+    np.testing.assert_allclose(here[1], difference[0], rtol=0, atol=near[0])
+    np.testing.assert_allclose(here[2], difference[1], rtol=0, atol=near[1])
     values = np.linspace(-0.1, 1.1, 25)
     numbers = [polynomial(value) for value in values.tolist()]
     np.testing.assert_allclose(np.transpose(polynomial(values)), numbers, atol=1e-14)

@@ -1,5 +1,3 @@
-"""What is refused, what it looks like, and a motion that is slowed until it fits."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -40,29 +38,26 @@ def test_the_demo_is_played_as_it_is(demo, loop):
     assert playable.slowed == 1.0
 
 
-def test_a_real_dance_is_played_as_it_is(real_clip):
-    assert fitted(load_motion(real_clip)).slowed == 1.0
-
-
 @pytest.mark.parametrize(
-    ("change", "error", "looks"),
+    ("change", "looks"),
     [
-        (lambda m: replace(m, joint_pos=np.degrees(m.joint_pos)), MotionError, "in degrees"),
-        (lambda m: with_knee(m, slice(100, 101), 2.4), SafetyError, "frame 100 were a spike"),
-        (lambda m: with_knee(m, slice(200, None), 1.0), SafetyError, "joined: .* 199 to 200"),
-        (lambda m: replace(m, fps=300.0), SafetyError, "left_knee_joint at .* rad/s"),
-        (lambda m: replace(m, joint_pos=m.joint_pos + 1.5), SafetyError, "rad in frame"),
+        (lambda m: with_knee(m, slice(100, 101), 2.4), "frame 100 were a spike"),
+        (lambda m: with_knee(m, slice(200, None), 1.0), "joined: .* 199 to 200"),
+        (lambda m: replace(m, fps=300.0), "left_knee_joint at .* rad/s"),
+        (lambda m: replace(m, joint_pos=m.joint_pos + 1.5), "rad in frame"),
     ],
 )
-def test_a_motion_that_no_robot_should_play_is_refused(demo, change, error, looks):
-    with pytest.raises(error, match=looks):
+def test_a_motion_that_no_robot_should_play_is_refused(demo, change, looks):
+    with pytest.raises(SafetyError, match=looks):
         fitted(change(demo))
 
 
 def test_no_setting_plays_what_is_not_in_radians(demo):
-    joints = demo.joint_pos.copy()
-    joints[100, KNEE] = 9e8
-    for motion in (replace(demo, joint_pos=joints), replace(demo, joint_pos=50 * demo.joint_pos)):
+    short = demo.frames(80, 120)
+    joints = short.joint_pos.copy()
+    joints[20, KNEE] = 9e8
+    for angles in (joints, 50 * short.joint_pos):
+        motion = replace(short, joint_pos=angles)
         for beyond in ("refuse", "scale-time", "clamp", "anyway"):
             with pytest.raises(MotionError, match="not in radians"):
                 fitted(motion, beyond_limits=beyond)

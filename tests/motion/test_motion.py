@@ -1,9 +1,3 @@
-"""Motions made from arrays and of other motions, cut, resampled, saved and drawn."""
-
-from __future__ import annotations
-
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -13,10 +7,9 @@ import pytest
 from g1stream.errors import G1StreamError, MotionError
 from g1stream.motion.motion import Motion, height_of_floor
 from g1stream.motion.readers import load_motion
-from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import yaw_of
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
@@ -40,15 +33,7 @@ def test_quaternions_become_unit_and_sign_continuous(make_motion):
     np.testing.assert_allclose(motion.root_quat_wxyz, true, atol=1e-15)
 
 
-def test_part_of_a_motion(wild_motion):
-    part = wild_motion.frames(10, 25)
-    assert part.n_frames == 15
-    np.testing.assert_array_equal(part.joint_pos, wild_motion.joint_pos[10:25])
-    np.testing.assert_array_equal(part.root_pos, wild_motion.root_pos[10:25])
-    np.testing.assert_array_equal(part.root_quat_wxyz, wild_motion.root_quat_wxyz[10:25])
-
-
-@pytest.mark.parametrize(("start", "stop"), [(-1, 5), (5, 5), (5, 6), (6, 5), (30, 41)])
+@pytest.mark.parametrize(("start", "stop"), [(-1, 5), (5, 6), (30, 41)])
 def test_invalid_parts(wild_motion, start, stop):
     with pytest.raises(MotionError, match=f"{start} to {stop}.*40 frames"):
         wild_motion.frames(start, stop)
@@ -65,7 +50,6 @@ def test_invalid_parts(wild_motion, start, stop):
         ({"root_quat_wxyz": np.ones((3, 3))}, r"root_quat_wxyz.*\(3, 3\).*\(3, 4\)"),
         ({"root_pos": [[0, 0, 0], [0, np.inf, 0], [0, 0, 0]]}, "root_pos, frame 1"),
         ({"root_quat_wxyz": [[1, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0]]}, "zero .* frame 2"),
-        ({"joint_pos": np.zeros((1, 2))}, "1 frame[.]"),
     ],
 )
 def test_invalid_arrays(fault, message):
@@ -108,7 +92,6 @@ def test_from_arrays_with_a_root_and_names_in_another_order():
 @pytest.mark.parametrize(
     ("joint_pos", "names", "offender"),
     [
-        (np.zeros((5, 28)), None, r"\(5, 28\)"),
         (np.zeros(29), None, r"\(29,\)"),
         (np.zeros((5, 29)), ("tail_joint", *JOINT_NAMES[1:]), "left_hip_pitch_joint.*tail_joint"),
         (np.zeros((5, 30)), (*JOINT_NAMES, "left_knee_joint"), "30 names"),
@@ -120,38 +103,11 @@ def test_from_arrays_that_do_not_fit(joint_pos, names, offender):
         Motion.from_arrays(joint_pos, fps=30, joint_names=names)
 
 
-@pytest.mark.parametrize(("fps", "n_frames"), [(100.0, 131), (12.0, 16), (30.0, 40)])
-def test_resampled_frames_are_those_of_the_trajectory(wild_motion, fps, n_frames):
-    resampled = wild_motion.resample(fps)
-    assert (resampled.fps, resampled.n_frames, resampled.name) == (fps, n_frames, "made")
-    point = Trajectory(wild_motion).sample_many(np.arange(n_frames) / fps)
-    np.testing.assert_allclose(resampled.joint_pos, point.joint_pos, atol=1e-12)
-    np.testing.assert_allclose(resampled.root_pos, point.root_pos, atol=1e-12)
-    np.testing.assert_allclose(resampled.root_quat_wxyz, point.root_quat_wxyz, atol=1e-12)
-
-
-@pytest.mark.parametrize("fps", [0.0, 0.1])
-def test_invalid_frame_rates_to_resample_at(wild_motion, fps):
-    with pytest.raises(MotionError, match="made"):
-        wild_motion.resample(fps)
-
-
 @pytest.mark.parametrize("name", ["walk.bvh", "missing/walk.csv"])
 def test_save_to_an_invalid_path(wild_motion, tmp_path, name):
     with pytest.raises(G1StreamError, match=name.split("/")[0]):
         wild_motion.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_importing_the_room_is_cheap():
-    code = (
-        "import sys, g1stream.motion.readers, g1stream.motion.csv; sys.exit(any(m in sys.modules "
-        "for m in ('scipy', 'mujoco', 'matplotlib', 'cyclonedds', 'pydantic')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-# --- motions made of motions ---
 
 
 @pytest.fixture(scope="module")
@@ -173,13 +129,13 @@ def walk(make_motion):
 def test_trim_takes_the_frames_of_that_time(demo):
     part = demo.trim(1.0, 5.0)
     assert part.duration == 4.0
-    np.testing.assert_array_equal(part.joint_pos, demo.joint_pos[30:151])
+    for name in ("joint_pos", "root_pos", "root_quat_wxyz"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(demo, name)[30:151])
     assert demo.trim(2.0).n_frames == demo.n_frames - 60
-    assert part.operations == ("trimmed to 1 to 5 s",)
     assert part.content_sha256 == demo.frames(30, 151).content_sha256 != demo.content_sha256
 
 
-@pytest.mark.parametrize(("start", "end"), [(-1, 2), (5, 5), (5, 1), (0, 1e3), (np.nan, 1)])
+@pytest.mark.parametrize(("start", "end"), [(-1, 2), (5, 5), (0, 1e3), (np.nan, 1)])
 def test_parts_that_there_are_not(demo, start, end):
     with pytest.raises(MotionError, match="has no part"):
         demo.trim(start, end)
@@ -191,9 +147,7 @@ def other_side(link):
     return f"{sides.get(side, side)}_{rest}" if rest else link
 
 
-@pytest.mark.parametrize("revision", REVISIONS)
-def test_mirrored_bodies_are_the_mirror_image(revision, wild_motion):
-    robot = G1.load(revision)
+def test_mirrored_bodies_are_the_mirror_image(robot, wild_motion):
     before, after = (
         forward_kinematics(robot, one.joint_pos, one.root_pos, one.root_quat_wxyz).pos
         for one in (wild_motion, wild_motion.mirrored())
@@ -202,16 +156,6 @@ def test_mirrored_bodies_are_the_mirror_image(revision, wild_motion):
     assert len(links) == 30
     others = [robot.link_names.index(other_side(robot.link_names[link])) for link in links]
     np.testing.assert_allclose(after[:, links], [1, -1, 1] * before[:, others], rtol=0, atol=1e-4)
-
-
-def test_a_mirrored_motion_keeps_the_limits_and_mirrored_twice_is_itself(demo):
-    robot = G1.default()
-    lower, upper = robot.lower[MIRRORED_JOINT], robot.upper[MIRRORED_JOINT]
-    limits = np.where(MIRROR_SIGN > 0, lower, -upper)
-    np.testing.assert_allclose(limits, robot.lower, rtol=0, atol=1e-9)
-    twice = demo.mirrored().mirrored()
-    assert twice.content_sha256 == demo.content_sha256
-    assert demo.mirrored().content_sha256 != demo.content_sha256
 
 
 def test_speed_changes_the_frame_rate_alone(demo):
@@ -244,28 +188,6 @@ def test_a_walk_goes_on_through_the_blend_as_it_was(walk):
     np.testing.assert_allclose(velocity, np.tile([0.0, 0.5, 0.0], (len(velocity), 1)), atol=1e-9)
 
 
-def test_a_blend_is_smooth_to_the_second_derivative(wild_motion):
-    """Its velocity, at ten thousand times a second, has no steps at its ends."""
-    both = wild_motion.then(wild_motion, blend=0.5)
-    last = wild_motion.duration
-    for seam in (last, last + 0.5):
-        times = seam + np.arange(-50, 51) * 1e-4
-        point = Trajectory(both).sample_many(times)
-        for velocity, acceleration in (
-            (point.joint_vel, point.joint_acc),
-            (point.root_lin_vel, point.root_lin_acc),
-            (point.root_ang_vel, point.root_ang_acc),
-        ):
-            np.testing.assert_allclose(
-                np.diff(velocity, axis=0) / 1e-4,
-                (acceleration[1:] + acceleration[:-1]) / 2,
-                rtol=0,
-                atol=1e-3 * np.abs(acceleration).max(),
-            )
-            steps = np.abs(np.diff(acceleration, axis=0)).max()
-            assert steps < 0.1 * np.abs(acceleration).max()
-
-
 def test_other_frame_rates_and_no_blend(demo):
     both = demo.then(demo.resample(60.0), blend=0.0)
     assert both.fps == 60.0
@@ -278,7 +200,6 @@ def test_again_and_again(demo):
     thrice = demo.looped(3, blend=1.0)
     assert thrice.duration == pytest.approx(3 * demo.duration + 2.0)
     assert (thrice.name, thrice.sha256) == (demo.name, demo.sha256)
-    assert demo.looped(1).n_frames == demo.n_frames
     for n in (0, 10**6):
         with pytest.raises(MotionError, match="repeated"):
             demo.looped(n)
@@ -320,19 +241,17 @@ def test_a_fixed_root_stays_as_in_the_first_frame(walk):
     np.testing.assert_array_equal(fixed.joint_pos, walk.joint_pos)
 
 
-@pytest.mark.parametrize("by", [-0.3, 0.05])
-def test_feet_are_put_on_the_floor(demo, by):
-    stands = height_of_floor(demo, G1.default())
+def test_feet_are_put_on_the_floor(demo, robot):
+    stands = height_of_floor(demo, robot)
     assert stands == pytest.approx(0.0, abs=1e-3)
-    moved = replace(demo, root_pos=demo.root_pos + np.array([0.0, 0.0, by]))
-    assert height_of_floor(moved, G1.default()) == pytest.approx(stands + by, abs=1e-9)
+    moved = replace(demo, root_pos=demo.root_pos - [0.0, 0.0, 0.3])
+    assert height_of_floor(moved, robot) == pytest.approx(stands - 0.3, abs=1e-9)
     put = moved.on_floor()
     np.testing.assert_allclose(put.root_pos, demo.root_pos - [0.0, 0.0, stands], atol=1e-9)
-    assert len(put.operations) == 1
 
 
-def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
-    urdf = ElementTree.fromstring(G1.default().urdf)
+def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo, robot):
+    urdf = ElementTree.fromstring(robot.urdf)
     for side in ("left", "right"):
         origin = urdf.find(f"joint[@name='{side}_ankle_pitch_joint']/origin")
         x, y, z = map(float, origin.get("xyz").split())
@@ -340,11 +259,11 @@ def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
     tall = G1.from_urdf(ElementTree.tostring(urdf, encoding="unicode"), "tall")
     put = demo.on_floor(tall)
     assert height_of_floor(put, tall) == pytest.approx(0.0, abs=1e-9)
-    assert abs(height_of_floor(put, G1.default())) > 0.01
+    assert abs(height_of_floor(put, robot)) > 0.01
 
 
-def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):
+def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion, robot):
     falling = make_motion(np.zeros((10, 1)), np.arange(10)[:, None] * [0.0, 0.0, -0.1])
-    assert height_of_floor(falling, G1.default()) is None
+    assert height_of_floor(falling, robot) is None
     with pytest.raises(MotionError, match="no foot stands"):
         falling.on_floor()

@@ -1,7 +1,3 @@
-"""The spline against scipy and finite differences, and resampling against the whole spline."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 
@@ -29,41 +25,38 @@ def rotation(quat_wxyz):
     return Rotation.from_quat(quat_wxyz, scalar_first=True)
 
 
-def test_joints_and_root_position_are_scipys_natural_spline(wild_motion):
-    trajectory, times = Trajectory(wild_motion), between(wild_motion)
-    point = trajectory.sample_many(times)
+@pytest.mark.parametrize("n_frames", [40, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
+def test_a_trajectory_is_scipys_splines(n_frames):
+    """Natural cubic splines, and a rotation spline; also if it is fitted in parts."""
+    motion = made(n_frames)
+    times, at = between(motion, max(997, 2 * n_frames)), frame_times(motion)
+    point = Trajectory(motion).sample_many(times)
     for values, found in (
-        (wild_motion.joint_pos, (point.joint_pos, point.joint_vel, point.joint_acc)),
-        (wild_motion.root_pos, (point.root_pos, point.root_lin_vel, point.root_lin_acc)),
+        (motion.joint_pos, (point.joint_pos, point.joint_vel, point.joint_acc)),
+        (motion.root_pos, (point.root_pos, point.root_lin_vel, point.root_lin_acc)),
     ):
-        spline = CubicSpline(frame_times(wild_motion), values, bc_type="natural")
+        spline = CubicSpline(at, values, bc_type="natural")
         for order in range(3):
-            expected = spline(times, order)
-            np.testing.assert_allclose(found[order], expected, rtol=1e-10, atol=1e-10)
-
-
-def test_orientation_is_scipys_rotation_spline(wild_motion):
-    trajectory, times = Trajectory(wild_motion), between(wild_motion)
-    spline = RotationSpline(frame_times(wild_motion), rotation(wild_motion.root_quat_wxyz))
-    point = trajectory.sample_many(times)
-    off = (spline(times).inv() * rotation(point.root_quat_wxyz)).magnitude()
-    assert off.max() < 1e-11  # SciPy's rounds end where one changes less than 1e-9
-    np.testing.assert_allclose(point.root_ang_vel, spline(times, 1), rtol=1e-9, atol=1e-9)
-    # scipy's formula for the acceleration cancels for small angles, so it knows fewer digits.
-    np.testing.assert_allclose(point.root_ang_acc, spline(times, 2), rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(
+                found[order], spline(times, order), rtol=1e-10, atol=10.0 ** (order - 10)
+            )
+    turns = RotationSpline(at, rotation(motion.root_quat_wxyz))
+    assert (turns(times).inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-10
+    np.testing.assert_allclose(point.root_ang_vel, turns(times, 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(point.root_ang_acc, turns(times, 2), rtol=1e-8, atol=1e-7)
 
 
 def test_one_sample_is_the_same_as_many(wild_motion):
     for loop in (False, True):
         trajectory = Trajectory(wild_motion, loop=loop)
-        times = np.linspace(-0.5, 3.0, 211)
+        times = np.linspace(-0.5, 3.0, 61)
         many = trajectory.sample_many(times)
         for row, t in enumerate(times):
             for one, batch in zip(trajectory.sample(t), many, strict=True):
                 np.testing.assert_allclose(one, batch[row], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("degrees", [1e-7, 0.01, 45.0, 120.0, 179.0])
+@pytest.mark.parametrize("degrees", [1e-7, 45.0, 179.0])
 def test_two_frames_give_a_constant_angular_velocity(make_motion, degrees):
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.0, -0.8]))
     quat = [[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]
@@ -77,38 +70,16 @@ def test_two_frames_give_a_constant_angular_velocity(make_motion, degrees):
         np.testing.assert_allclose(point.joint_vel[0], 1.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("loop", [False, True])
-def test_velocities_are_the_derivatives_of_positions(wild_motion, loop):
-    trajectory, h = Trajectory(wild_motion, loop=loop), 1e-5
-    # Away from frames, where the third derivative jumps and a finite difference would see it.
-    times = (np.arange(trajectory.period * wild_motion.fps) + 0.4) / wild_motion.fps
-    before, now, after = (trajectory.sample_many(times + d) for d in (-h, 0.0, h))
-    for pos, vel in (
-        ("joint_pos", "joint_vel"),
-        ("joint_vel", "joint_acc"),
-        ("root_pos", "root_lin_vel"),
-        ("root_lin_vel", "root_lin_acc"),
-        ("root_ang_vel", "root_ang_acc"),
-    ):
-        slope = (getattr(after, pos) - getattr(before, pos)) / (2 * h)
-        np.testing.assert_allclose(slope, getattr(now, vel), rtol=1e-5, atol=1e-5)
-    turned = rotation(before.root_quat_wxyz).inv() * rotation(after.root_quat_wxyz)
-    np.testing.assert_allclose(turned.as_rotvec() / (2 * h), now.root_ang_vel, rtol=1e-5, atol=1e-5)
-
-
-@pytest.mark.parametrize("loop", [False, True])
-def test_position_velocity_and_acceleration_are_continuous(wild_motion, loop):
-    """Also at the seam of a loop, and where it begins again."""
-    trajectory, tiny = Trajectory(wild_motion, loop=loop), 1e-10
+def test_a_loop_is_continuous_up_to_the_acceleration(wild_motion):
+    """Also at the seam, and where it begins again."""
+    trajectory, tiny = Trajectory(wild_motion, loop=True), 1e-10
     n_knots = round(trajectory.period * wild_motion.fps)
-    knots = np.arange(1, n_knots + loop) / wild_motion.fps
+    knots = np.arange(1, n_knots + 1) / wild_motion.fps
     before, after = (trajectory.sample_many(knots + d) for d in (-tiny, tiny))
     steepest = np.abs(np.diff(after.joint_acc, axis=0)).max() * wild_motion.fps
     assert steepest < 1e5
-    if loop:
-        # Where it begins again the root may have made a whole turn, and q become -q.
-        sign = np.sign(before.root_quat_wxyz[-1] @ after.root_quat_wxyz[-1])
-        after.root_quat_wxyz[-1] *= sign
+    # Where it begins again the root may have made a whole turn, and q become -q.
+    after.root_quat_wxyz[-1] *= np.sign(before.root_quat_wxyz[-1] @ after.root_quat_wxyz[-1])
     for name, left, right in zip(before._fields, before, after, strict=True):
         # With that slope a continuous function changes by up to 2e-5 in 2e-10 s.
         np.testing.assert_allclose(left, right, rtol=0, atol=2e-5, err_msg=name)
@@ -122,10 +93,8 @@ def test_rests_before_the_start_and_after_the_end(wild_motion):
         np.testing.assert_allclose(point.root_pos, wild_motion.root_pos[frame], atol=1e-12)
         quat = wild_motion.root_quat_wxyz[frame]
         np.testing.assert_allclose(point.root_quat_wxyz, quat, atol=1e-12)
-        for rate in (point.joint_vel, point.joint_acc, point.root_lin_vel, point.root_lin_acc):
+        for rate in (point.joint_vel, point.joint_acc, *point[4:6], *point[7:]):
             assert not rate.any()
-        assert not point.root_ang_vel.any()
-        assert not point.root_ang_acc.any()
 
 
 def made(n_frames, fps=30.0):
@@ -141,38 +110,27 @@ def made(n_frames, fps=30.0):
     )
 
 
-@pytest.mark.parametrize("n_frames", [BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
-def test_parts_are_those_of_splines_through_all_frames(n_frames):
-    motion = made(n_frames)
-    times, at = between(motion, 8 * n_frames), frame_times(motion)
-    point = Trajectory(motion).sample_many(times)
-    joints = CubicSpline(at, motion.joint_pos, bc_type="natural")
-    np.testing.assert_allclose(point.joint_pos, joints(times), rtol=0, atol=1e-10)
-    np.testing.assert_allclose(point.joint_acc, joints(times, 2), rtol=0, atol=1e-8)
-    turns = RotationSpline(at, rotation(motion.root_quat_wxyz))
-    assert (turns(times).inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-10
-    np.testing.assert_allclose(point.root_ang_acc, turns(times, 2), rtol=1e-8, atol=1e-7)
-
-
 def collected(motion, rate, start=0, stop=None):
     pieces = list(motion.samples(rate, start, motion.n_frames if stop is None else stop))
     numbers = np.concatenate([list(n) for n, _ in pieces])
     return numbers, [np.concatenate(parts) for parts in zip(*(p for _, p in pieces), strict=True)]
 
 
-@pytest.mark.parametrize("rate", [100.0, 29.97, 7.0])
-def test_pieces_are_those_of_the_spline_through_all_frames(rate):
+@pytest.mark.parametrize("rate", [100.0, 7.0])
+def test_pieces_and_parts_are_those_of_the_spline_through_all_frames(rate):
     motion = made(2 * BLOCK + 5)
     numbers, fields = collected(motion, rate)
     np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
     whole = Trajectory(motion).sample_many(numbers / rate)
-    for field, expected in zip(fields[:6], whole[:6], strict=True):
+    for field, expected in zip(fields[:7], whole[:7], strict=True):
         np.testing.assert_allclose(field, expected, atol=1e-8)
-    np.testing.assert_allclose(fields[6], whole.root_quat_wxyz, atol=1e-8)
+    part_numbers, part = collected(motion, rate, 150, 260)
+    for field, expected in zip(part, fields, strict=True):
+        np.testing.assert_allclose(field, expected[part_numbers], atol=1e-8)
 
 
 @pytest.mark.parametrize(
-    ("rate", "fps"), [(100.0, 30.0), (29.97, 30.0), (60.0, 29.97), (3.0, 30.0)]
+    ("rate", "fps"), [(100.0, 30.0), (29.97, 30.0), (60.0, 29.97), (3.0, 30.0), (30.0, 30.0)]
 )
 def test_all_samples_between_the_first_and_the_last_frame(rate, fps):
     numbers, _ = collected(made(300, fps), rate, 100, 290)
@@ -182,14 +140,6 @@ def test_all_samples_between_the_first_and_the_last_frame(rate, fps):
     assert first <= times[0] < first + step
     assert last - step < times[-1] <= last
     assert np.all(np.diff(numbers) == 1)
-
-
-def test_a_part_has_the_samples_of_the_whole():
-    motion = made(400)
-    _, whole = collected(motion, 90.0)
-    numbers, part = collected(motion, 90.0, 150, 260)
-    for field, expected in zip(part, whole, strict=True):
-        np.testing.assert_allclose(field, expected[numbers], atol=1e-8)
 
 
 def test_the_last_sample_still_moves():

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from g1stream.errors import ConfigError
-from g1stream.robot.dynamics import BaseMotion, InverseDynamics, compiled_dynamics, friction_torque
+from g1stream.robot.dynamics import (
+    STICTION_SPEED,
+    BaseMotion,
+    InverseDynamics,
+    compiled_dynamics,
+)
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.parameters import NOMINAL, load_parameters
@@ -102,19 +107,15 @@ def test_the_model_has_them(written):
 
 
 def test_the_torque_of_a_movement_differs_by_them(written):
-    path = written("[armature]\nleft_knee_joint = 0.03\n[damping]\nleft_knee_joint = 0.25\n")
+    path = written(
+        "[armature]\nleft_knee_joint = 0.03\n[damping]\nleft_knee_joint = 0.25\n"
+        "[friction]\nwaist_yaw_joint = 1.5\n"
+    )
     rng = np.random.default_rng(0)
     q, dq, ddq = rng.uniform(-0.3, 0.3, (3, N_JOINTS))
     nominal = InverseDynamics(G1.default()).solve("bolted", q, dq, ddq, AT_REST).tau
     tau = InverseDynamics(G1.load(params=path)).solve("bolted", q, dq, ddq, AT_REST).tau
     differs = np.zeros(N_JOINTS)
     differs[KNEE] = (0.03 - ARMATURE[KNEE]) * ddq[KNEE] + (0.25 - DAMPING[KNEE]) * dq[KNEE]
+    differs[12] = (1.5 - FRICTION[12]) * np.tanh(dq[12] / STICTION_SPEED)
     assert tau - nominal == pytest.approx(differs, abs=1e-9)
-
-
-def test_friction_torque_is_that_of_the_parameters(written):
-    read = load_parameters(written("[friction]\nwaist = 1.5"))
-    dq = np.full(N_JOINTS, 2.0)
-    waist = np.isin(np.arange(N_JOINTS), [12, 13, 14])
-    differs = np.where(waist, 1.5 - FRICTION, 0.0)
-    assert friction_torque(dq, read) - friction_torque(dq) == pytest.approx(differs)

@@ -1,5 +1,3 @@
-"""The shapes of a URDF, and meshes: against yourdfpy, trimesh and figures worked out by hand."""
-
 import sys
 from dataclasses import replace
 from io import StringIO
@@ -20,11 +18,6 @@ from g1stream.robot.shapes import (
     read_visuals,
     robot_with_meshes,
 )
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return G1.default()
 
 
 def with_urdf(robot, xml, source="made.urdf"):
@@ -64,15 +57,12 @@ def test_shapes_of_the_default_robot_are_those_of_yourdfpy(robot):
         assert visual.coloured
 
 
-def test_defaults_are_no_rotation_and_grey(robot):
+def test_a_shape_without_origin_and_colour_and_a_mesh_with_a_colour(robot):
     (visual,) = read_visuals(with_urdf(robot, shape("<box size='1 2 3'/>")))
     assert (visual.pos, visual.quat_wxyz) == ((0, 0, 0), (1, 0, 0, 0))
     assert visual.size == (1, 2, 3)
     assert not visual.coloured
     assert visual.rgba[3] == 1
-
-
-def test_a_colour_of_its_own_and_a_mesh(robot):
     material = "<material name='red'><color rgba='1 0 0 0.5'/></material>"
     mesh = "<mesh filename='meshes/a.stl' scale='0.001 0.001 0.001'/>"
     (visual,) = read_visuals(with_urdf(robot, shape(mesh, material=material)))

@@ -1,30 +1,13 @@
-"""Commands, poses and masses for the tests of this room."""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
-from xml.etree import ElementTree as ET
-
 import numpy as np
 import pytest
 
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
-from g1stream.robot.model import G1
+from g1stream.dds.messages import LowCmd
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
+from g1stream.sim.robot import MODE_MACHINE_29
 from g1stream.sim.world import MotorCommand
+from known_robots import real_clip, reference_urdf, robot
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-
-class Mass(NamedTuple):
-    link: str
-    mass: float
-    centre: NDArray[np.float64]
-
-
-@pytest.fixture(scope="session")
-def robot():
-    return G1.default()
+__all__ = ["real_clip", "reference_urdf", "robot"]
 
 
 @pytest.fixture
@@ -40,18 +23,6 @@ def inner_pose(robot, rng):
 
 
 @pytest.fixture(scope="session")
-def masses(robot):
-    """Each link's mass and its centre in the link's own frame, read from the URDF."""
-    found = []
-    for link in ET.fromstring(robot.urdf).iter("link"):
-        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
-        if mass is not None and origin is not None:
-            centre = np.array([float(part) for part in origin.attrib["xyz"].split()])
-            found.append(Mass(link.attrib["name"], float(mass.attrib["value"]), centre))
-    return found
-
-
-@pytest.fixture(scope="session")
 def servo():
     """Makes a command, Unitree's gains and zero targets unless given."""
 
@@ -60,6 +31,17 @@ def servo():
         return MotorCommand(np.broadcast_to(enabled, N_JOINTS), *numbers)
 
     return make
+
+
+@pytest.fixture
+def command():
+    """A LowCmd that moves the left knee to 0.5 rad."""
+    command = LowCmd()
+    command.motor_mode = 1
+    command.mode_machine[()] = MODE_MACHINE_29
+    command.kp[:], command.kd[:] = 60.0, 2.0
+    command.q[JOINT_NAMES.index("left_knee_joint")] = 0.5
+    return command
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,3 @@
-"""The bridge over DDS: topics, time stamps, commands, events."""
-
-from __future__ import annotations
-
 import logging
 import time
 
@@ -19,24 +15,14 @@ from g1stream.dds.messages import (
     SECONDARY_IMU,
     SPORTMODESTATE,
     Log,
-    LowCmd,
     LowState,
 )
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
-from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
+from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 
 KNEE = 3
-
-
-def good_command():
-    command = LowCmd()
-    command.motor_mode = 1
-    command.mode_machine[()] = MODE_MACHINE_29
-    command.kp[:], command.kd[:] = 60.0, 2.0
-    command.q[KNEE] = 0.5
-    return command
 
 
 def stop_after(ticks, at_tick=lambda: None):
@@ -50,7 +36,7 @@ def stop_after(ticks, at_tick=lambda: None):
     return should_stop
 
 
-def test_states_out_and_commands_in(domain_id):
+def test_states_out_and_commands_in(domain_id, command):
     world = World(G1.default())
     robot = SimulatedRobot(world, SimConfig())
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
@@ -58,7 +44,7 @@ def test_states_out_and_commands_in(domain_id):
         readers = [RawReader(theirs, topic, depth=2000) for topic in topics]
         writer = RawWriter(theirs, LOWCMD)
         bridge = Bridge(ours, robot, "bolted", SystemClock())
-        data = good_command().seal()
+        data = command.seal()
         report = bridge.run(stop_after(400, lambda: writer.write(data)))
         time.sleep(0.05)
         samples = [reader.take(2000) for reader in readers]
@@ -76,11 +62,11 @@ def test_states_out_and_commands_in(domain_id):
     assert np.unique(np.diff(ticks)).tolist() == [2]
 
 
-def test_events_are_published_and_logged(domain_id, caplog):
+def test_events_are_published_and_logged(domain_id, command, caplog):
     from g1stream.app.sim import simulate
 
     config = Config.model_validate({"dds": {"domain": domain_id}, "realtime": {"priority": 0}})
-    event, command = Log(), good_command()
+    event = Log()
     with Participant(domain_id, "lo") as theirs:
         reader, writer = RawReader(theirs, LOG, depth=100), RawWriter(theirs, LOWCMD)
         data = command.tobytes()  # without a CRC

@@ -1,10 +1,4 @@
-"""The compiled model: figures, order, contacts, and URDFs of other makes."""
-
-from __future__ import annotations
-
-import sysconfig
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -14,59 +8,47 @@ import pytest
 from g1stream.errors import SimError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.sim.world import MotorCommand, World
-
-UNITREE_URDFS = Path(
-    sysconfig.get_path("purelib"),
-    "cmeel.prefix/share/example-robot-data/robots/g1_description/urdf",
-)
-GRAVITY = 9.81
+from g1stream.sim.world import MotorCommand, Root, World
 
 
 def test_torque_limits_are_those_of_unitree_mujoco(robot, servo):
-    kinds = {
-        "hip": 88,
-        "knee": 139,
-        "ankle": 50,
-        "waist_yaw": 88,
-        "waist_roll": 50,
-        "waist_pitch": 50,
-        "shoulder": 25,
-        "elbow": 25,
-        "wrist_roll": 25,
-        "wrist_pitch": 5,
-        "wrist_yaw": 5,
-    }
+    leg, arm = [88, 88, 88, 139, 50, 50], [25, 25, 25, 25, 25, 5, 5]
     world = World(robot)
     world.step(servo(tau=1000.0, kp=0.0, kd=0.0))
-    felt = world.data.qfrc_actuator[[world.model.joint(name).dofadr[0] for name in JOINT_NAMES]]
-    for motor, name in enumerate(JOINT_NAMES):
-        (limit,) = (limit for kind, limit in kinds.items() if kind in name)
-        assert world.state().tau_est[motor] == felt[motor] == limit, name
+    felt = world.data.qfrc_actuator[dofs(world)]
+    assert felt.tolist() == [*leg, *leg, 88, 50, 50, *arm, *arm]
+    assert world.state().tau_est.tolist() == felt.tolist()
 
 
 def test_joint_mechanics_are_those_of_unitree_mujoco(robot):
-    model = World(robot).model
-    for name in JOINT_NAMES:
-        dof = model.joint(name).dofadr[0]
-        assert model.dof_armature[dof] == 0.01, name
-        assert model.dof_damping[dof] == 0.05, name
-        small = "wrist_pitch" in name or "wrist_yaw" in name
-        assert model.dof_frictionloss[dof] == (0.1 if small else 0.2), name
+    world = World(robot)
+    joints = dofs(world)
+    assert (world.model.dof_armature[joints] == 0.01).all()
+    assert (world.model.dof_damping[joints] == 0.05).all()
+    arm = [0.2] * 5 + [0.1] * 2
+    assert world.model.dof_frictionloss[joints].tolist() == [*[0.2] * 15, *arm, *arm]
 
 
-@pytest.mark.parametrize("motor", range(N_JOINTS))
-def test_motor_order_is_joint_order(robot, motor, servo):
+def test_motor_order_is_joint_order(robot, servo):
     world = World(robot)
-    world.step(MotorCommand.off())
-    at_rest = world.state().ddq
-    world = World(robot)
-    world.step(servo(tau=4.0 * (np.arange(N_JOINTS) == motor), kp=0.0, kd=0.0))
-    pushed = world.state().ddq - at_rest
-    joint = world.model.joint(JOINT_NAMES[motor])
-    assert pushed[motor] > 5
-    speed = (pushed[motor] + at_rest[motor]) * world.data.time  # from rest
-    assert world.data.qvel[joint.dofadr[0]] == pytest.approx(speed)
+    rest = Root(np.zeros(3), np.array([1.0, 0, 0, 0]), *np.zeros((2, 3)), playing=False)
+
+    def acceleration(command):
+        world.set_state(np.zeros(N_JOINTS), np.zeros(N_JOINTS), rest)
+        world.step(command)
+        return world.state().ddq
+
+    at_rest = acceleration(MotorCommand.off())
+    for motor, dof in enumerate(dofs(world)):
+        alone = np.arange(N_JOINTS) == motor
+        found = acceleration(servo(tau=4.0 * alone, kp=0.0, kd=0.0))[motor]
+        assert found - at_rest[motor] > 5
+        assert world.data.qvel[dof] == pytest.approx(found * world.timestep)
+
+
+def dofs(world):
+    """The degree of freedom of each motor's joint."""
+    return [world.model.joint(name).dofadr[0] for name in JOINT_NAMES]
 
 
 def test_links_may_come_in_any_order(robot, servo, run):
@@ -101,13 +83,13 @@ def test_feet_meet_the_floor(robot):
 def test_links_with_one_joint_between_never_collide(robot, rng, support):
     adjacent, seen = set(), set()
     world = World(robot, support)
+    places = [world.model.joint(name).qposadr[0] for name in JOINT_NAMES]
     for name in JOINT_NAMES:
         child = world.model.joint(name).bodyid[0]
         parent = world.model.body_weldid[world.model.body_parentid[child]]
         adjacent.add((world.model.body(parent).name, world.model.body(child).name))
     for _ in range(100):
-        pose = rng.uniform(robot.lower, robot.upper)
-        world.data.qpos[[world.model.joint(name).qposadr[0] for name in JOINT_NAMES]] = pose
+        world.data.qpos[places] = rng.uniform(robot.lower, robot.upper)
         mujoco.mj_forward(world.model, world.data)
         seen |= links_in_contact(world)
     assert len(seen) > 20
@@ -137,36 +119,8 @@ def test_arms_pressed_together(robot, servo, run, self_collision):
         assert max(depths) == 0.0
 
 
-def test_feet_stop_at_the_floor(robot, servo, run):
-    """A robot bolted too low for its legs cannot stretch them."""
-    bent = np.zeros(N_JOINTS)
-    for side in ("left", "right"):
-        for joint, angle in (("hip_pitch", -0.8), ("knee", 1.6), ("ankle_pitch", -0.8)):
-            bent[JOINT_NAMES.index(f"{side}_{joint}_joint")] = angle
-    world = World(robot, joint_pos=bent, base_height=0.7)
-    assert world.data.ncon == 0
-    run(world, servo(), 1.0)
-    soles = [world.data.geom_xpos[i][2] for i in feet(world)]
-    assert min(soles) > 0
-    assert world.data.ncon > 0
-
-
-def feet(world):
-    """The shapes of the feet that meet the floor."""
-    return [
-        geom
-        for geom in range(world.model.ngeom)
-        if world.model.geom_conaffinity[geom]
-        and "ankle_roll" in world.model.body(world.model.geom_bodyid[geom]).name
-    ]
-
-
-@pytest.mark.parametrize("name", ["g1_29dof_rev_1_0", "g1_29dof_with_hand_rev_1_0"])
-def test_urdf_with_meshes_and_fingers(name, servo, run):
-    urdf = UNITREE_URDFS / f"{name}.urdf"
-    if not urdf.exists():
-        pytest.skip(f"{name} is in example-robot-data, of the extra `meshes`")
-    world = World(G1.load(urdf), "hanging")
+def test_urdf_with_meshes_and_fingers(reference_urdf, servo, run):
+    world = World(G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf")), "hanging")
     assert world.model.nv == 6 + N_JOINTS
     assert {
         world.model.mesh(mesh).name.rpartition("_hull_")[1] for mesh in range(world.model.nmesh)
@@ -181,10 +135,9 @@ def altered(robot, old, new):
 
 
 def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot):
-    renamed = altered(robot, "imu_in_", "frame_in_")
-    state = World(renamed).state()
-    assert state.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
-    model = World(renamed).model
+    world = World(altered(robot, "imu_in_", "frame_in_"))
+    assert world.state().imu.accelerometer == pytest.approx([0, 0, 9.81])
+    model = world.model
     assert model.body(model.site("secondary_imu").bodyid[0]).name == "torso_link"
 
 

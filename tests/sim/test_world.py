@@ -1,22 +1,16 @@
-"""Commands in, states out: servo law, sensors, determinism, mechanics, and what is refused."""
-
-from __future__ import annotations
-
-import csv
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
 from g1stream.errors import SimError
+from g1stream.motion.readers import load_motion
+from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.sim.model import TORQUE_LIMIT
 from g1stream.sim.world import MotorCommand, World
 
-LAFAN = Path(__file__).parents[2].parent / "shared" / "lafan1" / "joints_labeled.csv"
 GRAVITY = 9.81
 
 
@@ -50,15 +44,8 @@ def test_servo_law_and_torque_limits(robot, rng, servo, inner_pose):
 def test_only_enabled_motors_move(robot, servo):
     enabled = np.arange(N_JOINTS) % 2 == 0
     world = World(robot)
-    world.step(servo(tau=3.0, kp=0.0, kd=0.0, enabled=enabled))
-    assert (world.state().tau_est == np.where(enabled, 3.0, 0.0)).all()
-
-
-def test_imu_at_rest_reads_gravity_upward(robot):
-    state = World(robot).state()
-    assert state.imu.quat_wxyz == pytest.approx([1, 0, 0, 0])
-    assert state.imu.gyroscope == pytest.approx([0, 0, 0])
-    assert state.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
+    world.step(servo(q=1.0, dq=1.0, tau=3.0, enabled=enabled))
+    assert ((world.state().tau_est != 0.0) == enabled).all()
 
 
 def test_torso_imu_turns_with_the_waist(robot, servo, run):
@@ -99,15 +86,6 @@ def test_same_commands_give_the_same_bits(robot, support, servo):
     assert play() == play()
 
 
-def test_float32_commands_are_obeyed_alike(robot, rng, servo, run):
-    exact = servo(q=rng.uniform(-0.3, 0.3, N_JOINTS), tau=0.7)
-    wire = MotorCommand(exact.enabled, *(values.astype(np.float32) for values in exact[1:]))
-    worlds = World(robot), World(robot)
-    for world, command in zip(worlds, (exact, wire), strict=True):
-        run(world, command, 0.1)
-    assert worlds[1].state().q == pytest.approx(worlds[0].state().q, abs=1e-6)
-
-
 def test_states_are_the_callers_own(robot, run):
     world = World(robot)
     first = world.state()
@@ -136,31 +114,6 @@ def test_a_state_that_cannot_be_integrated_is_an_error(robot, tmp_path, monkeypa
         world.step(servo())
 
 
-# Against mechanics done without MuJoCo.
-
-
-def potential_energy(robot, masses, joint_pos):
-    """Of poses (T, 29), J, from the URDF's masses and our own kinematics, pelvis at the origin."""
-    n_poses = len(joint_pos)
-    links = forward_kinematics(
-        robot, joint_pos, np.zeros((n_poses, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n_poses, 1))
-    )
-    energy = np.zeros(n_poses)
-    for link, mass, centre in masses:
-        index = robot.link_index(link)
-        height = links.pos[:, index] + quat_rotate(links.quat_wxyz[:, index], centre)
-        energy += mass * GRAVITY * height[:, 2]
-    return energy
-
-
-def gravity_torque(robot, masses, pose):
-    """The torque (29,) that holds a pose still, N·m: the slope of the potential energy."""
-    step = 1e-5
-    poses = pose + step * np.concatenate([np.eye(N_JOINTS), -np.eye(N_JOINTS)])
-    up, down = potential_energy(robot, masses, poses).reshape(2, N_JOINTS)
-    return (up - down) / (2 * step)
-
-
 @pytest.mark.parametrize("kd", [0.0, 2.0, 1000.0])
 def test_torque_and_velocities_agree_with_inverse_dynamics(robot, rng, servo, run, inner_pose, kd):
     """Also where damping is strong, and where a motor is at its limit, as most are with kd 1000."""
@@ -181,53 +134,19 @@ def test_torque_and_velocities_agree_with_inverse_dynamics(robot, rng, servo, ru
     assert after.tau_est == pytest.approx(needed, abs=1e-3)
 
 
-def test_pose_is_held_with_the_static_error_that_kp_predicts(robot, servo, run, inner_pose, masses):
-    target = inner_pose
-    world = World(robot, joint_pos=target)
+def test_pose_is_held_with_the_static_error_that_kp_predicts(robot, servo, run, inner_pose):
+    world = World(robot, joint_pos=inner_pose)
     world.model.dof_frictionloss[:] = 0  # it would hold the joints anywhere near
     kp = np.full(N_JOINTS, 100.0)
-    run(world, servo(q=target, kp=kp, kd=10.0), 3.0)
+    run(world, servo(q=inner_pose, kp=kp, kd=10.0), 3.0)
     at_rest = world.state()
     assert np.abs(at_rest.dq).max() < 1e-4
-    holding = gravity_torque(robot, masses, at_rest.q)
+    base = BaseMotion(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+    still = np.zeros(N_JOINTS)
+    holding = InverseDynamics(robot).solve("bolted", at_rest.q, still, still, base).tau
     assert np.abs(holding).max() > 5  # or the pose would ask for nothing
-    assert target - at_rest.q == pytest.approx(holding / kp, abs=1e-5)
+    assert inner_pose - at_rest.q == pytest.approx(holding / kp, abs=1e-5)
     assert at_rest.tau_est == pytest.approx(holding, abs=1e-3)
-
-
-def test_limp_robot_gets_no_torque_and_loses_energy(robot, servo, inner_pose):
-    world = World(robot, joint_pos=inner_pose)
-    limp = servo(q=1.0, tau=5.0, enabled=False)
-    energy = []
-    for _ in range(2000):
-        world.step(limp)
-        assert not world.state().tau_est.any()
-        mujoco.mj_energyPos(world.model, world.data)
-        mujoco.mj_energyVel(world.model, world.data)
-        energy.append(world.data.energy.sum())
-    assert np.diff(energy).max() < 0.01
-    assert energy[-1] < energy[0] - 1
-
-
-def test_a_free_pendulum_keeps_its_energy(robot, masses):
-    knee = np.where(np.array(JOINT_NAMES) == "left_knee_joint", 0.8, 0.0)
-    world = World(robot, joint_pos=knee, self_collision=False)
-    world.model.dof_frictionloss[:] = 0
-    world.model.dof_damping[:] = 0
-    world.model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_LIMIT
-    )  # limits and collisions eat energy
-    start = potential_energy(robot, masses, world.state().q[None])[0]
-    lost, swing = [], []
-    for _ in range(300):
-        world.step(MotorCommand.off())
-        state = world.state()
-        mujoco.mj_energyVel(world.model, world.data)
-        kinetic = world.data.energy[1]
-        lost.append(start - potential_energy(robot, masses, state.q[None])[0] - kinetic)
-        swing.append(kinetic)
-    assert max(swing) > 1
-    assert np.abs(lost).max() < 0.02 * max(swing)
 
 
 def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, run):
@@ -244,51 +163,16 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, r
     assert np.abs(speed).max() > 1e-3
 
 
-def test_trajectory_converges_with_the_timestep(robot, servo, run):
-    """To first order, so half the timestep has half the error."""
-
-    def play(timestep):
-        world = World(robot, timestep=timestep)
-        poses = []
-        for tick in range(50):
-            run(world, servo(q=0.3 * np.sin(0.2 * tick)), 0.01)
-            poses.append(world.state().q)
-        return np.array(poses)
-
-    fine = play(5e-5)
-    errors = [float(np.sqrt(np.mean((play(dt) - fine) ** 2))) for dt in (2e-3, 1e-3, 5e-4)]
-    assert errors[1] < 0.01 * np.sqrt(np.mean(fine**2))
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.2)
-    assert errors[1] / errors[2] == pytest.approx(2, rel=0.2)
-
-
-@pytest.mark.parametrize("kd", [10.0, 50.0])
-def test_strong_damping_does_not_chatter(robot, kd, servo, run):
-    world = World(robot, joint_pos=np.full(N_JOINTS, 0.1))
-    run(world, servo(kp=20.0, kd=kd), 0.5)
-    speeds = []
-    for _ in range(200):
-        world.step(servo(kp=20.0, kd=kd))
-        speeds.append(world.state().dq)
-    assert np.abs(np.diff(speeds, axis=0)).max() < 0.01
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
-@pytest.mark.parametrize(("support", "worst"), [("bolted", 0.09), ("hanging", 0.047)])
-def test_dance_is_followed_as_by_unitree_mujoco(robot, support, worst, servo, run):
-    """Unitree's gains, q and dq at 500 Hz; the bounds are what their simulators reach."""
-    fps = 30
-    with LAFAN.open() as file:
-        rows = list(csv.reader(file))
-    assert tuple(rows[0][8:]) == JOINT_NAMES
-    frames = np.array(rows[1:602], dtype=float)[:, 8:]
-    world = World(robot, support, joint_pos=frames[0])
+def test_dance_is_followed_as_by_unitree_mujoco(robot, real_clip, servo):
+    """Unitree's gains, q and dq at 500 Hz; the bound is what their simulators reach."""
+    fps, frames = 30, load_motion(real_clip).joint_pos[:601]
+    world = World(robot, "hanging", joint_pos=frames[0])
     errors = []
     for tick in range(round(500 * (len(frames) - 1) / fps)):
         index, part = divmod(tick / 500 * fps, 1)
         here, there = frames[int(index)], frames[int(index) + 1]
         q = here + part * (there - here)
         errors.append(world.state().q - q)
-        run(world, servo(q=q, dq=(there - here) * fps), 1 / 500)
-    assert np.sqrt(np.mean(np.square(errors))) < worst
+        world.step(servo(q=q, dq=(there - here) * fps), 2)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.047

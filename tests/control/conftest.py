@@ -36,7 +36,7 @@ class CheckedLink(FakeLink):
     """A fake link with the checks that every session must pass."""
 
     #: Commands of DAMP in the `timing` below.
-    _DAMP = 250
+    _DAMP = 100
 
     def __init__(self, clock: FakeClock) -> None:
         super().__init__(clock)
@@ -54,7 +54,7 @@ class CheckedLink(FakeLink):
             assert sent.command.q.tolist() == damping[0].command.q.tolist()
         # The pose due when damping began, a tick after the last; nothing moves faster than 1 rad/s.
         assert damping[0].command.q == pytest.approx(last.command.q, abs=0.002)
-        assert damping[-1].time - damping[0].time >= 498 * MS
+        assert damping[-1].time - damping[0].time >= 198 * MS
         self.assert_sound()
 
     def assert_sound(self) -> None:
@@ -152,7 +152,7 @@ def timing() -> Timing:
         ramp=100 * MS,
         play=500 * MS,
         hold=20 * MS,
-        damp=500 * MS,
+        damp=200 * MS,
         settle=302 * MS,
     )
 

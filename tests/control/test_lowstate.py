@@ -7,7 +7,6 @@ from g1stream.config import SafetyConfig
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.reading import Reading, is_unit
 from g1stream.dds.messages import LowState
-from g1stream.errors import ConfigError
 from g1stream.robot.model import G1
 
 MS = 1_000_000
@@ -85,19 +84,18 @@ def test_a_stale_state(make):
     assert "safety.state_timeout = 0.1 s" in reason
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(
-    ("field", "named"),
+    ("field", "bad", "named"),
     [
-        ("q", "position of left_ankle_roll_joint"),
-        ("dq", "velocity of left_ankle_roll_joint"),
-        ("tau_est", "torque of left_ankle_roll_joint"),
-        ("quaternion", "quaternion"),
-        ("gyroscope", "gyroscope"),
-        ("accelerometer", "accelerometer"),
+        ("q", np.nan, "position of left_ankle_roll_joint"),
+        ("dq", np.inf, "velocity of left_ankle_roll_joint"),
+        ("tau_est", -np.inf, "torque of left_ankle_roll_joint"),
+        ("quaternion", np.nan, "quaternion"),
+        ("gyroscope", np.inf, "gyroscope"),
+        ("accelerometer", -np.inf, "accelerometer"),
     ],
 )
-def test_a_number_that_is_not_finite(make, field, named, bad):
+def test_a_number_that_is_not_finite(make, field, bad, named):
     it = make()
     values = getattr(it.state, field)
     values[min(5, len(values) - 1)] = bad
@@ -105,22 +103,13 @@ def test_a_number_that_is_not_finite(make, field, named, bad):
 
 
 @pytest.mark.parametrize(
-    ("norm", "fine"), [(1.0, True), (0.951, True), (1.049, True), (0.949, False), (1.051, False)]
+    ("norm", "fine"), [(0.951, True), (1.049, True), (0.949, False), (1.051, False)]
 )
 def test_an_attitude_is_a_unit_quaternion(make, norm, fine):
     it = make()
     it.state.quaternion *= np.float32(norm)
     assert is_unit(it.state.quaternion) == fine
     assert it.publish() == ("" if fine else f"the IMU quaternion has norm {norm:.3f}")
-
-
-def test_a_simulator_that_starts_with_zeros_is_waited_out(make):
-    it = make()
-    it.state.payload[:] = 0
-    it.sealed = it.moving = it.ticking = False
-    assert "norm 0.000" in it.publish(times=100)
-    it.state.quaternion[0] = 1.0
-    assert it.publish() == ""
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -158,13 +147,6 @@ def test_a_crc_is_required_where_it_is_provided(begun, provided):
     assert it.checks.measured is not before
 
 
-def test_a_bridge_without_crc_is_believed(make):
-    it = make()
-    it.sealed = False
-    assert it.publish(times=1000) == ""
-    assert it.checks.crc_errors == 0
-
-
 def test_only_wrong_crcs_are_no_robot(make):
     it = make()
     it.sealed = False
@@ -197,7 +179,7 @@ def test_a_tick_that_stands_still_where_it_went(begun):
 def test_a_bridge_without_a_tick_is_believed(make):
     it = make(frozen_timeout=0.1)
     it.ticking = False
-    assert it.publish(times=500) == ""
+    assert it.publish(times=60) == ""
 
 
 @pytest.mark.parametrize(
@@ -234,15 +216,6 @@ def test_a_simulator_that_catches_up_does_not_leap(begun, robot):
     assert it.publish() == ""
     it.state.q[3] -= 0.5 + 1.1 * robot.velocity[3] * 0.002
     assert "jumped" in it.publish()
-
-
-def test_a_joint_has_moved_since_the_content_changed(begun, robot):
-    """A bridge that publishes faster than it measures repeats its states."""
-    it = begun(max_leap=0.5)
-    it.moving = False
-    assert it.publish(times=50) == ""
-    it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.1
-    assert it.publish() == ""
 
 
 def test_without_a_tick_the_clock_says_how_far_a_joint_may_have_moved(begun, robot):
@@ -286,14 +259,23 @@ def test_a_tick_that_wraps_is_no_restart(begun):
     assert it.publish(times=2) == ""
 
 
-@pytest.mark.parametrize(("name", "own"), [("g1_29dof", 5), ("g1_23dof", 4)])
-@pytest.mark.parametrize("machine", [0, 4, 5, 6])
-def test_mode_machine(name, own, machine):
+@pytest.mark.parametrize(
+    ("name", "machine", "fine"),
+    [
+        ("g1_29dof", 0, True),
+        ("g1_29dof", 5, True),
+        ("g1_29dof", 4, False),
+        ("g1_29dof", 6, False),
+        ("g1_23dof", 4, True),
+        ("g1_23dof", 5, False),
+    ],
+)
+def test_mode_machine(name, machine, fine):
     it = Robot(G1.load(name))
     it.state.mode_machine[()] = machine
     assert it.publish() == ""
     reason = it.checks.stop_reason
-    assert f"mode_machine {machine}" in reason if machine not in (0, own) else reason == ""
+    assert reason == "" if fine else f"mode_machine {machine}" in reason
 
 
 def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
@@ -305,37 +287,22 @@ def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
     assert "norm 0.000" in it.publish()
 
 
-@pytest.fixture
-def calm():
-    state = LowState()
-    state.quaternion[0] = 1.0
-    state.mode_machine[()] = 5
-    return state
+def test_what_is_not_believed_is_not_judged(make):
+    it = make()
+    it.state.dq[3], it.state.q[3] = 1000.0, np.nan
+    assert "NaN" in it.publish()
+    assert it.checks.stop_reason == ""
 
 
-def test_what_is_not_believed_is_not_judged(make, calm):
-    checks = make().checks
-    calm.dq[3] = 1000.0
-    calm.q[3] = np.nan
-    checks.take(calm, 1, NOW)
-    assert "NaN" in checks.unknown(NOW)
-    assert checks.stop_reason == ""
-
-
-def test_the_remote_counts_from_the_first_command_on(make, calm):
-    checks = make(deadman="R1").checks
-    calm.wireless_remote[2:4] = (0x20, 0x02)
-    checks.take(calm, 1, NOW)
-    assert "safety.deadman" in checks.missing
-    assert checks.stop_reason == ""
-    checks.begin()
-    checks.take(calm, 1, NOW)
-    assert checks.stop_reason.startswith("L2+B was pressed")
-
-
-def test_an_unknown_button_is_refused(make):
-    with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):
-        make(stop_buttons=["L3"])
+def test_the_remote_counts_from_the_first_command_on(make):
+    it = make(deadman="R1")
+    it.state.wireless_remote[2:4] = (0x20, 0x02)
+    it.publish()
+    assert "safety.deadman" in it.checks.missing
+    assert it.checks.stop_reason == ""
+    it.checks.begin()
+    it.publish()
+    assert it.checks.stop_reason.startswith("L2+B was pressed")
 
 
 @pytest.mark.parametrize(("interval", "waits"), [(0.09, False), (0.2, True)])

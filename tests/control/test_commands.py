@@ -20,40 +20,29 @@ KP, KD = np.arange(29) + 40.0, np.arange(29) / 10 + 1.0
 
 @pytest.fixture
 def make_limits(robot):
-    return lambda **settings: CommandLimits(robot, SafetyConfig(**settings))
+    def make(beyond="refuse", *, in_steps=False, **settings):
+        limits = CommandLimits(robot, SafetyConfig(**settings), beyond, in_steps=in_steps)
+        limits.begin(np.zeros(29))
+        return limits
+
+    return make
 
 
-@pytest.fixture
-def composer(robot):
-    composer = Composer(CommandLimits(robot, SafetyConfig()), Gains(KP, KD), damp_kd=3.0)
+def test_command_and_reference_have_their_own_targets(make_limits):
+    composer = Composer(make_limits(), Gains(KP, KD), damp_kd=3.0)
     composer.begin(np.zeros(29, np.float32), 5)
-    return composer
-
-
-@pytest.fixture
-def target():
-    """Every number of it is another one."""
     sizes = [29, 29, 29, 29, 3, 4, 3, 3, 3, 3]
-    return Target(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))
-
-
-def read(command, reference):
-    low_cmd, beside = LowCmd(), Reference()
-    low_cmd.load(command)
-    beside.load(reference)
-    return low_cmd, beside
-
-
-def test_command_and_reference_have_their_own_targets(composer, target):
+    target = Target(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))
     commanded = target._replace(q=np.full(29, 0.02), dq=np.full(29, 0.3), tau=np.arange(29.0))
-    command, reference = read(*composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD))
+    command, reference = LowCmd(), Reference()
+    composed = composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD)
+    for message, data in zip((command, reference), composed, strict=True):
+        message.load(data)
     assert command.q == pytest.approx(np.full(29, 0.02))
     assert command.dq == pytest.approx(np.full(29, 0.3))
     assert command.tau.tolist() == list(range(29))
-    assert (command.kp.tolist(), command.kd.tolist()) == (
-        KP.astype(np.float32).tolist(),
-        KD.astype(np.float32).tolist(),
-    )
+    assert command.kp.tolist() == KP.tolist()
+    assert command.kd.tolist() == KD.astype(np.float32).tolist()
     assert command.motor_mode.tolist() == [1] * 29
     assert (int(command.mode_machine), int(command.mode_pr)) == (5, 0)
     assert command.crc_matches()
@@ -68,10 +57,8 @@ def test_command_and_reference_have_their_own_targets(composer, target):
 
 def test_targets_within_the_limits_are_left_alone(make_limits, robot):
     limits = make_limits()
-    for share in (0.0, 0.5, 1.0):
-        q = robot.lower + share * (robot.upper - robot.lower)
-        q = np.clip(q, robot.lower, robot.upper)
-        assert limits.limit_position(q).tolist() == q.tolist()
+    for q in (robot.lower, robot.upper):
+        assert limits.limit_position(q) is q
     assert not limits.clamped.any()
 
 
@@ -117,11 +104,11 @@ def test_margin_that_leaves_no_range_is_refused(make_limits, robot):
         make_limits(position_margin=half + 1e-9)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize(("row", "what"), [(0, "q"), (1, "dq"), (2, "tau")])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_target_that_is_not_finite_is_refused(make_limits, row, what, bad, dtype):
-    asked = np.ones((3, 29), dtype)
+@pytest.mark.parametrize(
+    ("row", "what", "bad"), [(0, "q", np.nan), (1, "dq", np.inf), (2, "tau", -np.inf)]
+)
+def test_a_target_that_is_not_finite_is_refused(make_limits, row, what, bad):
+    asked = np.ones((3, 29), np.float32)
     make_limits().require_finite(asked)
     asked[row, 11] = bad
     with pytest.raises(SafetyError, match=f"{JOINT_NAMES[11]} has {what} = {bad}"):
@@ -152,7 +139,6 @@ def played(limits, asked, elapsed=PERIOD):
 
 def test_a_motion_at_its_highest_speed_is_left_alone(make_limits, robot):
     limits = make_limits()
-    limits.begin(np.zeros(29))
     asked = robot.velocity[KNEE] * PERIOD * np.arange(1, 60)
     sent = played(limits, asked)
     assert sent[:, 0].tolist() == asked.tolist()
@@ -162,7 +148,6 @@ def test_a_motion_at_its_highest_speed_is_left_alone(make_limits, robot):
 def test_a_joint_that_is_asked_for_too_much_comes_as_near_as_it_can(make_limits, robot):
     """A spike of one command: 0.3 rad, for which the knee needs 15 ms."""
     limits, speed = make_limits(), robot.velocity[KNEE]
-    limits.begin(np.zeros(29))
     asked = np.zeros(40)
     asked[10] = 0.3
     sent = played(limits, asked)
@@ -174,19 +159,19 @@ def test_a_joint_that_is_asked_for_too_much_comes_as_near_as_it_can(make_limits,
 
 
 @pytest.mark.parametrize(("beyond", "ends"), [("refuse", True), ("clamp", False)])
-def test_a_joint_that_would_be_more_than_20_ms_late_ends_the_session(robot, beyond, ends):
-    limits = CommandLimits(robot, SafetyConfig(), beyond)
-    limits.begin(np.zeros(29))
+def test_a_joint_that_would_be_more_than_20_ms_late_ends_the_session(
+    make_limits, robot, beyond, ends
+):
+    limits = make_limits(beyond)
     sent = played(limits, np.full(200, 2.4))
     assert np.abs(np.diff(sent[:, 0])).max() <= robot.velocity[KNEE] * PERIOD * 1.002
     assert sent[-1, 0] == pytest.approx(2.4)
     assert (JOINT_NAMES[KNEE] in limits.fault) is ends
 
 
-def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(robot):
+def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(make_limits, robot):
     """Ten ticks of rest, a step of 50 ms, and one of 5 ms as soon as that is reached."""
-    limits = CommandLimits(robot, SafetyConfig(), in_steps=True)
-    limits.begin(np.zeros(29))
+    limits = make_limits(in_steps=True)
     reach = robot.velocity[KNEE] * PERIOD
     sent = played(limits, [0.0] * 10 + [25.0 * reach] * 30 + [27.5 * reach] * 10)[:, 0] / reach
     moved = np.diff(sent)
@@ -198,16 +183,12 @@ def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(robot):
 
 
 def test_a_long_gap_allows_no_more_than_20_ms(make_limits, robot):
-    limits = make_limits()
-    limits.begin(np.zeros(29))
-    sent = played(limits, [2.0], elapsed=0.4)
+    sent = played(make_limits(), [2.0], elapsed=0.4)
     assert sent[0, 0] == pytest.approx(robot.velocity[KNEE] * MAX_STEP_TIME, rel=2e-3)
 
 
-def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(robot):
-    limits = CommandLimits(robot, SafetyConfig(), "anyway")
-    limits.begin(np.zeros(29))
-    sent = played(limits, [0.0, 2.4, 9.0])
+def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(make_limits, robot):
+    sent = played(make_limits("anyway"), [0.0, 2.4, 9.0])
     assert sent[:, 0].tolist() == [0.0, 2.4, robot.upper[KNEE]]
 
 
@@ -222,7 +203,7 @@ def predicted(limited, tau, gains, measured, age):
     return (gains * (limited - state)).sum(axis=0) + tau
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_command_asks_for_more_torque_than_the_motors_have(make_limits, robot, seed):
     """Whatever is measured; a joint within its limit is left alone."""
     random = np.random.default_rng(seed)
@@ -251,13 +232,11 @@ def test_no_command_asks_for_more_torque_than_the_motors_have(make_limits, robot
 def test_a_joint_that_is_held_fast_is_pushed_no_harder_than_its_motor_can(make_limits, robot):
     """And released without a leap, when it follows again."""
     limits, gains = make_limits(), np.stack([np.full(29, 40.0), np.ones(29)])
-    start, still = np.zeros(29), np.zeros(29)
-    limits.begin(start)
-    sent = []
+    still, sent = np.zeros(29), []
     for k in range(400):
         asked = np.zeros((2, 29))
         asked[0, WRIST] = min(k * 0.01, 1.0)
-        measured = measured_at(start if k < 300 else asked[0])
+        measured = measured_at(still if k < 300 else asked[0])
         limited, _ = limits.apply(
             asked, still, elapsed=PERIOD, gains=gains, measured=measured, age=PERIOD
         )
@@ -270,11 +249,9 @@ def test_a_joint_that_is_held_fast_is_pushed_no_harder_than_its_motor_can(make_l
 
 
 def test_an_old_measurement_says_nothing_of_the_torque(make_limits):
-    limits, gains = make_limits(), np.stack([np.full(29, 100.0), np.ones(29)])
-    far = measured_at(np.full(29, 9.0))
+    gains, far = np.stack([np.full(29, 100.0), np.ones(29)]), measured_at(np.full(29, 9.0))
     asked = np.zeros((2, 29))
-    limits.begin(asked[0])
-    limited, _ = limits.apply(
+    limited, _ = make_limits().apply(
         asked, np.zeros(29), elapsed=PERIOD, gains=gains, measured=far, age=0.021 + PERIOD
     )
     assert limited is asked

@@ -28,7 +28,7 @@ class Watched:
         self.measuring = True
 
     def after(self, seconds, motion=lambda t: None):
-        """The stop_reason of a time with what is set now, and how long it took, s."""
+        """The stop_reason after some time, and how long it took, s."""
         step = self.period / 1e9
         for i in range(round(seconds / step)):
             self.now += self.period
@@ -46,20 +46,11 @@ def make(robot):
     return lambda **settings: Watched(robot, **settings)
 
 
-def tilted_by(angle, yaw=0.7):
-    """A body that has turned about the vertical and leans by `angle`; quaternion wxyz."""
-    x, y, z, w = (Rotation.from_euler("z", yaw) * Rotation.from_rotvec([0, angle, 0])).as_quat()
-    return np.array([w, x, y, z])
-
-
-def test_all_is_well(make):
-    assert make().after(3.0) == ("", 3.0)
-
-
 @pytest.mark.parametrize(("angle", "stops"), [(0.799, False), (0.801, True)])
 def test_tilt(make, angle, stops):
     it = make(max_tilt=0.8)
-    it.state.quaternion[:] = tilted_by(angle)
+    turned = Rotation.from_euler("z", 0.7) * Rotation.from_rotvec([0, angle, 0])
+    it.state.quaternion[:] = np.roll(turned.as_quat(), 1)
     reason, passed = it.after(0.1)
     assert ("safety.max_tilt = 0.8 rad" in reason) == stops
     assert not stops or passed == 0.002
@@ -75,8 +66,9 @@ def test_joint_speed(make, speed, stops):
     assert not stops or passed == 0.002
 
 
-@pytest.mark.parametrize(("part", "name"), [(0, "casing"), (1, "winding")])
-@pytest.mark.parametrize("commanded", [True, False])
+@pytest.mark.parametrize(
+    ("part", "name", "commanded"), [(0, "casing", True), (1, "winding", False)]
+)
 def test_temperature(make, part, name, commanded):
     it = make(**{f"max_{name}_temperature": 70.0})
     it.target = it.target if commanded else None
@@ -117,12 +109,6 @@ def test_a_motor_that_is_off(make):
     reason, passed = it.after(1.0)
     assert "left_knee_joint is off (mode 0)" in reason
     assert passed == pytest.approx(0.1, abs=0.042)
-
-
-def test_all_motors_off(make):
-    it = make(motor_fault_time=0.1)
-    it.state.motor_mode = 1
-    it.after(0.1)
     it.state.motor_mode = 0
     assert "one of 29" in it.after(1.0)[0]
 
@@ -160,10 +146,10 @@ def test_tracking_error_is_averaged(make):
     """A constant error e passes the limit after -T ln(1 - limit / e)."""
     it = make(max_tracking_error=0.3, tracking_time=1.0)
     it.target[KNEE] = 0.29
-    assert it.after(10.0)[0] == ""
+    assert it.after(4.0)[0] == ""
     it = make(max_tracking_error=0.3, tracking_time=1.0)
     it.target[KNEE] = 0.6
-    reason, passed = it.after(10.0)
+    reason, passed = it.after(3.0)
     assert reason.startswith("left_knee_joint is 0.60 rad from its target")
     assert passed == pytest.approx(np.log(2), abs=0.05)
 

@@ -26,11 +26,6 @@ def overruns(caplog):
     return lambda: [record.args for record in caplog.records if "overrun" in record.msg]
 
 
-def test_a_loop_on_time_has_no_overrun(make_loop, overruns):
-    make_loop().run()
-    assert overruns() == []
-
-
 def test_an_overrun_is_logged_in_its_tick(make_loop, link, clock, overruns):
     clock.oversleeps[tick(clock, 100)] = 5 * PERIOD
     seen = {}

@@ -43,8 +43,7 @@ def test_a_motion_does_not_wait_for_a_robot_in_time(ticks):
     assert set(Robot(ticks=ticks).run(3.0)) == {0}
 
 
-@pytest.mark.parametrize("ticks", [True, False])
-@pytest.mark.parametrize("pace", [0.5, 0.8])
+@pytest.mark.parametrize(("pace", "ticks"), [(0.5, True), (0.8, False)])
 def test_a_motion_is_as_slow_as_the_simulator(ticks, pace):
     robot = Robot(pace, ticks)
     waits = robot.run(2.0)

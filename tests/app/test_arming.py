@@ -15,8 +15,8 @@ from g1stream.config import Config, load_config
 from g1stream.control.plan import plan
 from g1stream.control.wire_settings import for_wire, with_robot_limits
 from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import SafetyError, WireError
 from g1stream.motion.motion import Motion
@@ -85,8 +85,7 @@ def config(domain_id):
     )
 
 
-@pytest.mark.parametrize("play", [stream, replay])
-@pytest.mark.parametrize("elsewhere", ["interface", "uri"])
+@pytest.mark.parametrize(("play", "elsewhere"), [(stream, "interface"), (replay, "uri")])
 def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewhere, monkeypatch):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     config = Config.model_validate(ELSEWHERE)
@@ -120,14 +119,12 @@ def test_robot_toml_applies_where_nothing_is_set(monkeypatch):
     assert found.stream.soft_start > 0.0
 
 
-def test_the_report_is_about_this_robot_and_motion(still_robot, config):
+def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
     still_robot()
     reports = []
-    with Participant(config.dds.domain, "lo") as theirs:
-        tap = RawReader(theirs, LOWCMD, depth=4096)
-        with pytest.raises(SafetyError):
-            stream("demo", config, arm=lambda report: reports.append(report) or False)
-        assert tap.take(4096) == []
+    with tap(config.dds.domain) as commands, pytest.raises(SafetyError):
+        stream("demo", config, arm=lambda report: reports.append(report) or False)
+    assert commands == []
     (report,) = reports
     assert (report.domain, report.interface) == (config.dds.domain, "lo")
     assert report.tilt == 0.0
@@ -143,31 +140,19 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config):
     assert report.limbs[0].kp == (40.0, 100.0)
     assert report.limits["state_timeout"] == 1.0
     assert report.motion_service == ok("motion service", "no mode is active")
-    assert {"publisher", "LowState", "mode_machine"} <= {one.about for one in report.findings}
+    about = {one.about for one in report.findings}
+    assert {"publisher", "LowState", "mode_machine"} <= about
+    assert "motors" not in about
 
 
-def test_a_motion_service_that_does_not_answer_is_a_warning(still_robot, config):
-    still_robot(serves=False)
+def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config):
+    """Motor numbers, and a motion service that does not answer; a CRC may not be provided."""
+    still_robot(crc=bytes(4), serves=False)
+    config = config.model_copy(update={"robot": "g1_23dof"})
     with Participant(config.dds.domain, "lo") as participant:
         report = inspect_for_arming(participant, plan(STILL, config))
+    assert "motors" in {one.about for one in report.findings}
     assert report.motion_service.level is Level.WARNING
-
-
-@pytest.mark.parametrize(("robot", "warned"), [(None, False), ("g1_23dof", True)])
-def test_motor_numbers_that_no_robot_has_confirmed_are_a_warning(
-    still_robot, config, robot, warned
-):
-    still_robot()
-    config = config.model_copy(update={"robot": robot})
-    with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, plan(STILL, config))
-    assert ("motors" in {one.about for one in report.findings}) == warned
-
-
-def test_the_pose_is_that_of_a_state_whose_crc_is_right_or_not_provided(still_robot, config):
-    still_robot(crc=bytes(4))
-    with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, plan(STILL, config))
     assert report.furthest.distance == pytest.approx(-0.1)
 
 
@@ -190,21 +175,15 @@ def test_without_a_robot_there_is_nothing_to_arm(config):
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
 
 
-def test_armed_starts_with_damping(simulation, config):
+def test_armed_starts_with_damping(simulation, config, tap):
     simulation()
-    with Participant(config.dds.domain, "lo") as theirs:
-        tap = RawReader(theirs, LOWCMD, depth=4096)
+    with tap(config.dds.domain) as commands:
         summary = stream("demo", config, arm=lambda report: True)
-        samples = tap.take(4096)
     assert summary.termination.reason == ""
-    stiffness = []
-    for sample in samples:
-        command = LowCmd()
-        command.load(sample.data)
-        stiffness.append(float(command.kp.max()))
+    stiffness = [float(one.command.kp.max()) for one in commands]
     soft = next(i for i, kp in enumerate(stiffness) if kp)
-    damped = samples[soft].publish_time - samples[0].publish_time
     # The 0.1 s are between deadlines, which the first command may be late for.
+    damped = commands[soft].stamp - commands[0].stamp
     assert damped + 1e3 * summary.stream.lateness_us.max >= 0.09e9
     assert set(stiffness[soft:]) == {100.0, 0.0}
     assert stiffness[-1] == 0.0

@@ -105,13 +105,6 @@ def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch,
     assert (tmp_path / "there").read_bytes() == b"precious"
 
 
-def test_a_recording_without_a_sample_is_removed(config, tmp_path):
-    summary = stream("demo", config, record=tmp_path / "s.mcap")
-    assert summary.recorder.removed
-    assert summary.recorder.paths
-    assert not [*tmp_path.iterdir()]
-
-
 def test_a_recorder_that_fails_is_reported_and_its_file_kept(
     config, domain_id, tmp_path, monkeypatch
 ):

@@ -62,12 +62,17 @@ def test_targets_within_the_limits_are_left_alone(make_limits, robot):
     assert not limits.clamped.any()
 
 
-def test_a_held_target_is_not_driven_on_into_its_limit(make_limits):
-    beyond = np.array([0.2, 0.2, -0.2, -0.2, 0.0])
-    dq, tau = np.full(5, 3.0), np.array([5.0, -5.0, 5.0, -5.0, 5.0])
-    held_dq, held_tau = make_limits().keep_inward(beyond, dq, tau)
-    assert held_dq.tolist() == [0.0, 0.0, 0.0, 0.0, 3.0]
-    assert held_tau.tolist() == [0.0, -5.0, 5.0, 0.0, 5.0]
+@pytest.mark.parametrize("torque", [5.0, -5.0])
+def test_a_held_target_is_not_driven_on_into_its_limit(make_limits, robot, torque):
+    limits, dq, tau = make_limits(), np.full(29, 3.0), np.full(29, torque)
+    q = (robot.lower + robot.upper) / 2
+    q[3], q[4] = robot.upper[3] + 0.2, robot.lower[4] - 0.2
+    limits.begin(limits.limit_position(q))
+    limited, limited_tau = limits.apply(np.stack([q, dq]), tau, elapsed=PERIOD)
+    dq[3] = dq[4] = 0.0
+    tau[3], tau[4] = min(torque, 0.0), max(torque, 0.0)
+    assert limited.tolist() == [q.clip(robot.lower, robot.upper).tolist(), dq.tolist()]
+    assert limited_tau.tolist() == tau.tolist()
 
 
 @pytest.mark.parametrize("side", ["lower", "upper"])

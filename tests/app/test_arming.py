@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from g1stream.app.arming import inspect_for_arming
 from g1stream.app.replay import replay
-from g1stream.app.sim import simulate
 from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
 from g1stream.control.plan import plan
@@ -29,51 +28,28 @@ ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}
 
 
 @pytest.fixture
-def simulation(domain_id):
-    """Starts a bridge in a thread."""
-    done, threads = threading.Event(), []
-
-    def start(onboard=None):
-        config = Config.model_validate({"dds": {"domain": domain_id}, "sim": {"onboard": onboard}})
-        ready = threading.Event()
-        options = {"should_stop": done.is_set, "on_ready": ready.set}
-        threads.append(threading.Thread(target=simulate, args=(config,), kwargs=options))
-        threads[-1].start()
-        assert ready.wait(30)
-
-    yield start
-    done.set()
-    for thread in threads:
-        thread.join()
-
-
-@pytest.fixture
-def still_robot(domain_id):
-    """Starts a robot that stands still with every joint at 0.1 rad, and has a motion service."""
-    done, threads = threading.Event(), []
+def still_robot(domain_id, publishing):
+    """A robot that stands still with every joint at 0.1 rad, and has a motion service or not."""
     state = LowState()
     state.q[:], state.quaternion[0] = 0.1, 1.0
     state.mode_machine[()] = 5
     sealed = state.seal()
-    with Participant(domain_id, "lo") as participant:
-        writer = RawWriter(participant, LOWSTATE)
 
-        def start(*, crc=sealed[-4:], serves=True):
+    @contextmanager
+    def run(*, crc=sealed[-4:], serves=True):
+        with Participant(domain_id, "lo") as participant:
+            writer = RawWriter(participant, LOWSTATE)
             service = MotionService(participant) if serves else None
 
             def publish():
-                while not done.wait(0.005):
-                    writer.write(sealed[:-4] + crc)
-                    if service:
-                        service.step(sealed, 1)
+                writer.write(sealed[:-4] + crc)
+                if service:
+                    service.step(sealed, 1)
 
-            threads.append(threading.Thread(target=publish))
-            threads[-1].start()
+            with publishing(publish):
+                yield participant
 
-        yield start
-        done.set()
-        for thread in threads:
-            thread.join()
+    return run
 
 
 @pytest.fixture
@@ -120,9 +96,8 @@ def test_robot_toml_applies_where_nothing_is_set(monkeypatch):
 
 
 def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
-    still_robot()
     reports = []
-    with tap(config.dds.domain) as commands, pytest.raises(SafetyError):
+    with still_robot(), tap(config.dds.domain) as commands, pytest.raises(SafetyError):
         stream("demo", config, arm=lambda report: reports.append(report) or False)
     assert commands == []
     (report,) = reports
@@ -147,9 +122,8 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
 
 def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config):
     """Motor numbers, and a motion service that does not answer; a CRC may not be provided."""
-    still_robot(crc=bytes(4), serves=False)
     config = config.model_copy(update={"robot": "g1_23dof"})
-    with Participant(config.dds.domain, "lo") as participant:
+    with still_robot(crc=bytes(4), serves=False) as participant:
         report = inspect_for_arming(participant, plan(STILL, config))
     assert "motors" in {one.about for one in report.findings}
     assert report.motion_service.level is Level.WARNING
@@ -157,14 +131,12 @@ def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config):
 
 
 def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
-    still_robot(crc=b"\1\2\3\4")
-    with Participant(config.dds.domain, "lo") as participant, pytest.raises(WireError):
+    with still_robot(crc=b"\1\2\3\4") as participant, pytest.raises(WireError):
         inspect_for_arming(participant, plan(STILL, config))
 
 
-def test_an_active_mode_is_refused_before_anybody_is_asked(simulation, config):
-    simulation("ai")
-    with pytest.raises(SafetyError) as caught:
+def test_an_active_mode_is_refused_before_anybody_is_asked(bridge, config):
+    with bridge("ai"), pytest.raises(SafetyError) as caught:
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
     assert "ai" in caught.value.cause
     assert f"g1stream robot release --domain {config.dds.domain}" in caught.value.remedy
@@ -175,9 +147,8 @@ def test_without_a_robot_there_is_nothing_to_arm(config):
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
 
 
-def test_armed_starts_with_damping(simulation, config, tap):
-    simulation()
-    with tap(config.dds.domain) as commands:
+def test_armed_starts_with_damping(bridge, config, tap):
+    with bridge(), tap(config.dds.domain) as commands:
         summary = stream("demo", config, arm=lambda report: True)
     assert summary.termination.reason == ""
     stiffness = [float(one.command.kp.max()) for one in commands]

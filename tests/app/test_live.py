@@ -6,7 +6,6 @@ import json
 import logging
 import socket
 import struct
-import threading
 import time
 from base64 import b64decode
 from contextlib import ExitStack, contextmanager, suppress
@@ -158,13 +157,10 @@ def test_a_client_receives_channels_scenes_and_the_state_that_was_published(conf
 
 
 def test_clients_that_never_read_cost_neither_others_nor_a_recording(
-    config, states, port, children, tmp_path, until
+    config, states, port, children, beside, tmp_path, until
 ):
     config = config.model_copy(update={"record": RecordConfig(channels="full")})
-    state, stop, path = LowState(), threading.Event(), tmp_path / "s.mcap"
-    recording = threading.Thread(
-        target=record, args=(path, config), kwargs={"should_stop": stop.is_set}
-    )
+    state, path = LowState(), tmp_path / "s.mcap"
     never_reads = {"max_queue": 1, "ping_interval": None, "close_timeout": 0.1}
     with (
         ExitStack() as open_to_the_end,
@@ -175,15 +171,13 @@ def test_clients_that_never_read_cost_neither_others_nor_a_recording(
         open_to_the_end.enter_context(client(port, **never_reads)).subscribe(*CHANNELS)
         stuck.subscribe(*CHANNELS)
         reader.subscribe("/lowstate")
-        recording.start()
-        until(lambda: states.matched == 2, "the live view and the recorder")
-        for tick in range(STATES):
-            state.tick[()] = tick
-            states.write(state.tobytes())
-            time.sleep(0.0005)
-        received = [reader.receive() for _ in range(STATES)]
-        stop.set()
-        recording.join()
+        with beside(record, path, config):
+            until(lambda: states.matched == 2, "the live view and the recorder")
+            for tick in range(STATES):
+                state.tick[()] = tick
+                states.write(state.tobytes())
+                time.sleep(0.0005)
+            received = [reader.receive() for _ in range(STATES)]
         left = 0
         with suppress(TimeoutError):
             while True:

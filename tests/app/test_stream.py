@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,24 +21,10 @@ def config(domain_id):
     return Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
 
 
-@contextmanager
-def background(publish):
-    """Publish at 50 Hz meanwhile."""
-    stop = threading.Event()
-
-    def run():
-        while not stop.wait(0.02):
-            publish()
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    yield
-    stop.set()
-    thread.join()
-
-
 @pytest.mark.parametrize("ready", [True, False])
-def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, config, ready):
+def test_a_simulator_whose_first_states_are_zeros_is_waited_for(
+    domain_id, config, publishing, ready
+):
     """As both of unitree_mujoco's bridges do; if nothing else comes, the reason says what came."""
     with Participant(domain_id, "lo") as peer:
         commands, states, published = RawReader(peer, LOWCMD), RawWriter(peer, LOWSTATE), []
@@ -55,7 +39,7 @@ def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, confi
 
         parts = {"wait": 2.0, "ramp": 0.2, "duration": 0.1, "hold": 0.0, "damp": 0.5}
         quick = config.model_copy(update={"stream": config.stream.model_copy(update=parts)})
-        with background(publish):
+        with publishing(publish):
             summary = stream("demo", quick)
         assert bool(commands.take()) == ready
     assert (summary.stream.reason == "") == ready
@@ -106,7 +90,7 @@ def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch,
 
 
 def test_a_recorder_that_fails_is_reported_and_its_file_kept(
-    config, domain_id, tmp_path, monkeypatch
+    config, domain_id, tmp_path, monkeypatch, publishing
 ):
     finish = Child.finish
 
@@ -119,7 +103,7 @@ def test_a_recorder_that_fails_is_reported_and_its_file_kept(
     monkeypatch.setattr(Child, "finish", fail)
     with Participant(domain_id, "lo") as peer:
         imu = RawWriter(peer, SECONDARY_IMU)
-        with background(lambda: imu.write(SecondaryImu().tobytes())):
+        with publishing(lambda: imu.write(SecondaryImu().tobytes())):
             summary = stream("demo", config, record=tmp_path / "s.mcap")
     assert summary.recorder.stopped == "It hangs."
     assert not summary.recorder.removed

@@ -15,7 +15,6 @@ from g1stream.types import Phase
 
 MS = 1_000_000
 PERIOD = 2 * MS
-TOO_FAST = SafetyConfig().max_joint_speed + 1.0
 RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 100  # commands that the phases of `timing` last
 
 

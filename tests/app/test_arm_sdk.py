@@ -1,7 +1,5 @@
 """Arms moved while the robot stands by itself: real processes, our bridge, and every way out."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What has to be asked, and is told, before anything but loopback is commanded."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What a demo refuses before anything is started."""
-
 import pytest
 
 from g1stream.app import demo as program

@@ -1,7 +1,3 @@
-"""G1s with fewer joints than 29."""
-
-from __future__ import annotations
-
 import pytest
 
 from g1stream.app.rollout import rollout

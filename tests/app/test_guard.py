@@ -1,7 +1,3 @@
-"""The guard of a stream: real processes on real DDS, and a reader that hears every LowCmd."""
-
-from __future__ import annotations
-
 import os
 import resource
 import signal

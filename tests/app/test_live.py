@@ -1,7 +1,5 @@
 """The live view: what a WebSocket client receives, and what it cannot disturb."""
 
-from __future__ import annotations
-
 import json
 import logging
 import socket

@@ -1,7 +1,3 @@
-"""Release and restore of a mode of the motion service, against the bridge."""
-
-from __future__ import annotations
-
 import pytest
 
 from g1stream.app.motion_service import onboard_status, release_mode, restore_mode

@@ -1,7 +1,3 @@
-"""Recording as a program: when it is ready, and what it leaves when it fails."""
-
-from __future__ import annotations
-
 import logging
 import threading
 import time

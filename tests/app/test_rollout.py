@@ -1,7 +1,5 @@
 """A motion played in lockstep: deterministic, in simulated time, a session like a recorded one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates

@@ -1,7 +1,3 @@
-"""A stream without a robot says why, and what happens to its recording."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

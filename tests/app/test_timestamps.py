@@ -1,5 +1,3 @@
-"""Timestamps against exact fractions, and times as people write them against datetime."""
-
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 

@@ -1,7 +1,5 @@
 """What is sent is within the limits, whatever is asked for and whatever a state claims."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st

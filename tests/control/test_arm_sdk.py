@@ -1,7 +1,5 @@
 """Commands on rt/arm_sdk: only arms and waist, and a weight that always goes back to 0."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

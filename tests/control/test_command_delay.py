@@ -1,7 +1,5 @@
 """The age of the commands that motors follow, which make their torque as unitree_mujoco does."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

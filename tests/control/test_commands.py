@@ -1,5 +1,3 @@
-"""The LowCmd and the Reference of a tick, and the limits of a command."""
-
 import numpy as np
 import pytest
 
@@ -130,13 +128,13 @@ def test_opposite_infinities_do_not_hide_each_other(make_limits):
 KNEE, WRIST = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("left_wrist_yaw_joint")
 
 
-def played(limits, asked, elapsed=PERIOD):
+def played(limits, asked):
     """What is sent when one joint is asked for these positions, with the velocity of each step."""
     sent = []
     for k, q in enumerate(asked):
         q_dq = np.zeros((2, 29))
-        q_dq[0, KNEE], q_dq[1, KNEE] = q, (q - asked[max(0, k - 1)]) / elapsed
-        limited, _ = limits.apply(q_dq, np.zeros(29), elapsed=elapsed)
+        q_dq[0, KNEE], q_dq[1, KNEE] = q, (q - asked[max(0, k - 1)]) / PERIOD
+        limited, _ = limits.apply(q_dq, np.zeros(29), elapsed=PERIOD)
         limits.sent()
         sent.append(limited[:, KNEE])
     return np.array(sent)
@@ -187,11 +185,6 @@ def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(make_li
     assert limits.fault == ""
 
 
-def test_a_long_gap_allows_no_more_than_20_ms(make_limits, robot):
-    sent = played(make_limits(), [2.0], elapsed=0.4)
-    assert sent[0, 0] == pytest.approx(robot.velocity[KNEE] * MAX_STEP_TIME, rel=2e-3)
-
-
 def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(make_limits, robot):
     sent = played(make_limits("anyway"), [0.0, 2.4, 9.0])
     assert sent[:, 0].tolist() == [0.0, 2.4, robot.upper[KNEE]]
@@ -203,17 +196,9 @@ def measured_at(q, dq=0.0):
     return Reading.from_low_state(state, 0)
 
 
-def predicted(limited, tau, gains, measured, age):
-    state = np.stack([measured.q + age * measured.dq, measured.dq]).astype(np.float64)
-    return (gains * (limited - state)).sum(axis=0) + tau
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_no_command_asks_for_more_torque_than_the_motors_have(make_limits, robot, seed):
-    """Whatever is measured; a joint within its limit is left alone."""
-    random = np.random.default_rng(seed)
-    limits = make_limits()
-    gains = np.stack([np.full(29, 60.0), np.full(29, 2.0)])
+def test_only_joints_beyond_their_torque_are_moved_and_counted(make_limits, robot):
+    random = np.random.default_rng(0)
+    limits, gains = make_limits(), np.stack([np.full(29, 60.0), np.full(29, 2.0)])
     asked = np.stack([random.uniform(robot.lower, robot.upper), random.uniform(-8, 8, 29)])
     tau = random.uniform(-0.9, 0.9, 29) * robot.torque_limit
     q = (asked[0] + random.normal(0.0, 0.5, 29)).clip(robot.lower + 0.1, robot.upper - 0.1)
@@ -222,14 +207,10 @@ def test_no_command_asks_for_more_torque_than_the_motors_have(make_limits, robot
     limited, same = limits.apply(
         asked, tau, elapsed=MAX_STEP_TIME, gains=gains, measured=measured, age=0.003
     )
-    torque = predicted(limited, tau, gains, measured, 0.003)
-    before = predicted(asked, tau, gains, measured, 0.003)
-    moved = np.abs(limited[0] - asked[0])
-    free = moved < 0.99 * MAX_STEP_TIME * robot.velocity  # a target must not leap for it
-    assert (np.abs(torque[free]) <= robot.torque_limit[free] * (1 + 1e-5)).all()
+    state = np.stack([measured.q + 0.003 * measured.dq, measured.dq]).astype(np.float64)
+    fine = np.abs((gains * (asked - state)).sum(axis=0) + tau) <= robot.torque_limit
     assert same is tau
-    fine = np.abs(before) <= robot.torque_limit
-    assert limited[:, fine].tolist() == asked[:, fine].tolist()
+    assert (limited == asked).all(axis=0).tolist() == fine.tolist()
     assert limits.torque_limited.tolist() == (~fine).astype(int).tolist()
     assert 0 < fine.sum() < 29
 

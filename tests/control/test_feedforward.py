@@ -1,7 +1,5 @@
 """What commands carry: by hand-made models and readings, then on a simulated robot."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

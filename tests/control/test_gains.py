@@ -1,5 +1,3 @@
-"""Gains: patterns over the gains of Unitree's example."""
-
 import pytest
 
 from g1stream.config import GainsConfig, load_config

@@ -1,5 +1,3 @@
-"""When the guard takes over, what it then sends, and what it shares with its stream."""
-
 import os
 import subprocess
 import sys

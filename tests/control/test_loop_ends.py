@@ -1,5 +1,3 @@
-"""Every way out of the loop damps the robot."""
-
 import logging
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Commands for joints whose target or start pose is outside a limit."""
-
 import numpy as np
 
 from g1stream.config import SafetyConfig

@@ -1,7 +1,3 @@
-"""The first commands of a soft start only damp; the ramp begins where the robot is then."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""What makes a LowState believed or not, each threshold just on and just beyond it."""
-
 import numpy as np
 import pytest
 

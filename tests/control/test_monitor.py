@@ -1,5 +1,3 @@
-"""What ends a session because of the robot, each threshold just on and just beyond it."""
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,5 +1,3 @@
-"""Percentiles of the lateness histogram against the raw values, and the rate of a run."""
-
 import math
 from fractions import Fraction
 

@@ -1,7 +1,5 @@
 """Which revision moves, from the torques of a robot on its way to the first frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The clock of a motion that keeps to the robot's time."""
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,3 @@
-"""The state machine on exact nanoseconds."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,3 @@
-"""The table of sources, and a source of its own targets and gains in the loop."""
-
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from types import ModuleType

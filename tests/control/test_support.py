@@ -1,7 +1,5 @@
 """Right and wrong supports: on our simulator, and in extracts of sessions on unitree_mujoco."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import get_args
 

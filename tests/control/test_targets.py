@@ -1,5 +1,3 @@
-"""What each phase asks for, against finite differences and the trajectory itself."""
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

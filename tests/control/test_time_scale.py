@@ -1,7 +1,5 @@
 """The scale of the robot's time, from joints that move as a simulator of known speed moves them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from g1stream.app.session import open_session
-from g1stream.dds.domain import Participant
-from g1stream.dds.messages import ARM_SDK, LOWSTATE
+from g1stream.dds.messages import ARM_SDK
 from g1stream.types import Phase
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
@@ -97,12 +96,3 @@ def test_a_session_has_what_the_arms_were_asked_and_did(standing, running, tmp_p
     assert np.abs(legs).max() < 0.1
     assert session.base is not None
     assert np.abs(session.base.position[:, 2] - 0.79).max() < 0.01
-
-
-def test_a_robot_that_does_not_stand_by_itself_is_refused(domain_id, until, running):
-    with running("sim", "--domain", domain_id), Participant(domain_id, "lo") as participant:
-        until(lambda: participant.writers(LOWSTATE.name), "the simulator")
-        with running(*arguments(domain_id)) as stream:
-            _, told = stream.communicate(timeout=30)
-    assert stream.returncode == 2
-    assert "restore" in told

@@ -133,11 +133,18 @@ def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
         inspect_for_arming(participant, plan(STILL, config))
 
 
-def test_an_active_mode_is_refused_before_anybody_is_asked(bridge, config):
-    with bridge("ai"), pytest.raises(SafetyError) as caught:
+@pytest.mark.parametrize(
+    ("onboard", "via", "remedy"), [("ai", "lowcmd", "release"), (None, "arm_sdk", "restore")]
+)
+def test_a_mode_that_does_not_fit_is_refused_before_anybody_is_asked(
+    bridge, config, onboard, via, remedy
+):
+    config = load_config(over=config.model_dump() | {"stream.via": via})
+    with bridge(onboard), pytest.raises(SafetyError) as caught:
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
-    assert "ai" in caught.value.cause
-    assert f"g1stream robot release --domain {config.dds.domain}" in caught.value.remedy
+    assert "active" in caught.value.cause
+    assert f"g1stream robot {remedy}" in caught.value.remedy
+    assert f"--domain {config.dds.domain}" in caught.value.remedy
 
 
 def test_without_a_robot_there_is_nothing_to_arm(config):

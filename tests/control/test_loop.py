@@ -150,48 +150,32 @@ def test_lateness_ends_with_the_write_and_work_begins_there(make_loop, link, clo
     assert report.skipped == 0
 
 
-def test_oversleeping_delays_one_command_only(make_loop, link, clock):
-    late = clock.now() + SETTLE + PERIOD + 100 * PERIOD
-    clock.oversleeps[late] = PERIOD - 1
+@pytest.mark.parametrize(
+    ("at", "late", "skipped", "delayed"),
+    [
+        (100, PERIOD - 1, 0, 0),
+        (RAMP - 2, 5 * PERIOD + 7, 5, 0),  # into the next phase
+        (80, 5 * PERIOD + 7, 5, 0),
+        (299, 5 * PERIOD + 7, 5, 0),
+        (100, 9 * PERIOD, 9, 0),
+        (100, 10 * PERIOD, 10, 1),
+    ],
+)
+def test_a_stall_skips_ticks_and_delays_the_motion_by_what_is_beyond_20_ms(
+    make_loop, link, clock, at, late, skipped, delayed
+):
+    deadline = clock.now() + SETTLE + PERIOD + at * PERIOD
+    clock.oversleeps[deadline] = late
     report = make_loop().run()
-    assert [sent.time for sent in link.sent[99:102]] == [
-        late - PERIOD,
-        late + PERIOD - 1,
-        late + PERIOD,
-    ]
-    assert float(link.sent[100].reference.motion_time) == 50 * PERIOD / 1e9
-    assert report.commands == ALL
-    assert report.lateness.maximum_ns == PERIOD - 1
-    assert report.skipped == 0
-
-
-@pytest.mark.parametrize("at", [RAMP - 2, 80, 299])
-def test_a_short_stall_skips_ticks_and_the_motion_stays_on_time(make_loop, link, clock, at):
-    """Also where the stall reaches into the next phase."""
-    late = clock.now() + SETTLE + PERIOD + at * PERIOD
-    clock.oversleeps[late] = 5 * PERIOD + 7
-    report = make_loop().run()
-    assert report.skipped == 5
-    assert report.commands == ALL - 5
-    assert report.reason == ""
-    sent = link.sent[at]
-    assert sent.time == late + 5 * PERIOD + 7
-    assert float(sent.reference.motion_time) == min(at + 5 - RAMP, PLAY) * PERIOD / 1e9
+    assert (report.reason, report.skipped, report.delay) == ("", skipped, delayed * PERIOD)
+    assert report.commands == ALL - skipped + delayed
+    assert report.lateness.maximum_ns == late - skipped * PERIOD
+    sent, following = link.sent[at : at + 2]
+    assert (sent.time, following.time) == (deadline + late, deadline + (skipped + 1) * PERIOD)
+    ticks = min(at + skipped - delayed - RAMP, PLAY)
+    assert float(sent.reference.motion_time) == ticks * PERIOD / 1e9
     assert int(sent.reference.phase) == (Phase.PLAY if at < 290 else Phase.HOLD)
-    assert link.sent[at + 1].time == late + 6 * PERIOD
     link.assert_damped()
-
-
-@pytest.mark.parametrize("periods", [9, 10])
-def test_a_stall_delays_the_motion_by_what_is_beyond_20_ms(make_loop, link, clock, periods):
-    at = RAMP + 50
-    clock.oversleeps[clock.now() + SETTLE + PERIOD + at * PERIOD] = periods * PERIOD
-    report = make_loop().run()
-    caught_up = min(periods, 9)
-    assert float(link.sent[at].reference.motion_time) == (50 + caught_up) * PERIOD / 1e9
-    assert report.delay == (periods - caught_up) * PERIOD
-    assert report.commands == ALL - caught_up
-    assert report.reason == ""
 
 
 def test_a_long_stall_damps(make_loop, link, clock):

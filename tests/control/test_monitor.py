@@ -111,12 +111,13 @@ def test_a_motor_that_is_off(make):
     assert "one of 29" in it.after(1.0)[0]
 
 
-def test_a_motor_that_reports_a_fault(make):
-    it = make(motor_fault_time=0.1)
+@pytest.mark.parametrize("period", [2 * MS, 20 * MS])
+def test_a_motor_that_reports_a_fault_as_long_at_every_rate(make, period):
+    it = make(period=period, motor_fault_time=0.5)
     it.state.motorstate[KNEE] = 0x201
     reason, passed = it.after(1.0)
     assert "left_knee_joint reports motorstate 0x201: overcurrent, winding overheating" in reason
-    assert passed == pytest.approx(0.1, abs=0.042)
+    assert passed == pytest.approx(0.5, abs=0.042)
 
 
 def test_a_fault_that_is_masked_or_short_does_not_stop(make):
@@ -152,11 +153,10 @@ def test_tracking_error_is_averaged(make):
     assert passed == pytest.approx(np.log(2), abs=0.05)
 
 
-@pytest.mark.parametrize(("side", "beyond"), [("upper", 1), ("lower", -1)])
-def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot, side, beyond):
+def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot):
     it = make(max_tracking_error=0.3)
-    it.target[KNEE] = 100.0 * beyond
-    it.state.q[KNEE] = getattr(robot, side)[KNEE]
+    it.target[KNEE], it.target[5] = 100.0, -100.0
+    it.state.q[KNEE], it.state.q[5] = robot.upper[KNEE], robot.lower[5]
     assert it.after(3.0)[0] == ""
 
 
@@ -179,15 +179,18 @@ def test_time_without_new_measurements_does_not_count(make):
     assert it.after(10.0, seldom)[1] == pytest.approx(4 * np.log(2), rel=0.1)
 
 
-@pytest.mark.parametrize(("share", "stops"), [(0.0, True), (0.09, True), (0.11, False)])
-def test_a_jam(make, share, stops):
+@pytest.mark.parametrize(
+    ("amplitude", "share", "stops"),
+    [(0.3, 0.0, True), (0.3, 0.09, True), (0.3, 0.11, False), (0.24, 0.0, False)],
+)
+def test_a_jam(make, amplitude, share, stops):
     it = make(jam_time=1.0, jam_motion=0.5, max_tracking_error=6.0)
 
     def swing(t):
-        it.target[KNEE] = 0.6 + 0.3 * np.sin(4 * t)
-        it.state.q[KNEE] = 0.6 + share * 0.3 * np.sin(4 * t)
+        it.target[KNEE] = 0.6 + amplitude * np.sin(4 * t)
+        it.state.q[KNEE] = 0.6 + share * amplitude * np.sin(4 * t)
 
-    reason, passed = it.after(4.0, swing)
+    reason, passed = it.after(3.0, swing)
     assert reason.startswith("left_knee_joint does not follow") == stops
     assert not stops or passed == pytest.approx(1.0, abs=0.15)
 
@@ -202,21 +205,3 @@ def test_a_robot_that_never_moves_does_not_play_the_demo(make):
     reason, passed = it.after(motion.duration, play)
     assert reason
     assert passed < motion.duration / 2
-
-
-def test_a_joint_that_is_to_move_little_is_not_jammed(make):
-    it = make(jam_time=1.0, jam_motion=0.5)
-
-    def swing(t):
-        it.target[KNEE] = 0.24 * np.sin(4 * t)
-
-    assert it.after(4.0, swing)[0] == ""
-
-
-@pytest.mark.parametrize("period", [2 * MS, 20 * MS])
-def test_a_limit_of_time_is_the_same_at_every_rate(make, period):
-    it = make(period=period, motor_fault_time=0.5)
-    it.state.motorstate[KNEE] = 0x400
-    reason, seconds = it.after(3.0)
-    assert "left_knee_joint" in reason
-    assert seconds == pytest.approx(0.5, abs=0.05)

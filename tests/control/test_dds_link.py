@@ -8,15 +8,7 @@ from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import IDLE, AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import (
-    LOWCMD,
-    LOWSTATE,
-    POLICY,
-    LowCmd,
-    LowState,
-    PolicyStep,
-    Reference,
-)
+from g1stream.dds.messages import LOWCMD, LOWSTATE, POLICY, LowCmd, LowState, PolicyStep, Reference
 
 
 @pytest.fixture

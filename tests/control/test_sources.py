@@ -90,31 +90,15 @@ def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion,
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
 
 
-def told_by(link):
-    """The ticks of what was told, each beside the tick of the command with its publish time."""
-    ticks = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
-    assert {topic for topic, _, _ in link.told} == {POLICY}
-    return [(int.from_bytes(data, "little"), ticks.get(stamp)) for _, data, stamp in link.told]
-
-
 @pytest.mark.parametrize("policy", [Telling], indirect=True)
 @pytest.mark.usefixtures("policy")
-def test_what_is_told_of_a_command_that_is_replaced_comes_with_the_next_one(link, clock, motion):
-    planned = plan(motion, CONFIG)
-    for n in range(20, 240, 7):  # these ticks are skipped
-        clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
-    report = make_loop(planned, link, clock, settle=0).run()
-    assert report.skipped == 32
-    told = told_by(link)
-    assert [tick for tick, _ in told] == planned.source.ticks
-    assert len({*planned.source.ticks}) == len(told) - 32
-    assert all(tick == beside for tick, beside in told)
-
-
-@pytest.mark.parametrize("policy", [Telling], indirect=True)
-@pytest.mark.usefixtures("policy")
-def test_nothing_is_told_of_a_command_that_could_not_be_written(link, clock, motion, monkeypatch):
+def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
+    link, clock, motion, monkeypatch
+):
+    """32 ticks are skipped, and two commands cannot be written."""
     planned, send, refused = plan(motion, CONFIG), link.send, []
+    for n in range(20, 240, 7):
+        clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
 
     def refusing(command, reference, stamp):
         if len(link.sent) in (100, 150) and len(link.sent) not in refused:
@@ -123,11 +107,14 @@ def test_nothing_is_told_of_a_command_that_could_not_be_written(link, clock, mot
         return send(command, reference, stamp)
 
     monkeypatch.setattr(link, "send", refusing)
-    make_loop(planned, link, clock).run()
-    told = told_by(link)
-    assert refused == [100, 150]
-    assert [tick for tick, _ in told] == planned.source.ticks
-    assert None not in [beside for _, beside in told]
+    report = make_loop(planned, link, clock, settle=0).run()
+    assert (report.skipped, refused) == (32, [100, 150])
+    beside = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
+    ticks = [int.from_bytes(data, "little") for _, data, _ in link.told]
+    assert ticks == planned.source.ticks
+    assert ticks == [beside.get(stamp) for _, _, stamp in link.told]
+    assert len({*ticks}) == len(ticks) - 32 - 2
+    assert {topic for topic, _, _ in link.told} == {POLICY}
 
 
 @pytest.mark.usefixtures("policy")

@@ -16,7 +16,7 @@ IMU = ImuReading(*(np.zeros(n, np.float32) for n in (4, 3, 3)))
 
 def found(
     delay,
-    seconds=4.0,
+    seconds=5.0,
     rate=500.0,
     noise=0.0,
     bias=0.0,

@@ -137,11 +137,19 @@ def test_the_guard_is_no_other_publisher(make_loop, link, monkeypatch):
     link.assert_damped()
 
 
-def test_a_dead_man_switch_that_is_released_damps(make_loop, link):
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda link: link.robot.wireless_remote.fill(0), "R1 was released on the remote"),
+        (lambda link: link.robot.q.put(3, np.nan), "LowState contains a position"),
+        (lambda link: setattr(link, "publisher", 2), "the publisher of LowState has changed"),
+    ],
+)
+def test_a_state_that_is_wrong_damps(make_loop, link, change, reason):
     link.robot.wireless_remote[2] = 1
-    link.at_send(120, lambda: link.robot.wireless_remote.fill(0))
+    link.at_send(120, lambda: change(link))
     report = make_loop(SafetyConfig(deadman="R1")).run()
-    assert report.reason == "R1 was released on the remote (safety.deadman)"
+    assert report.reason.startswith(reason)
     assert report.commands == 121 + DAMP
     link.assert_damped()
 

@@ -4,7 +4,6 @@ from scipy.spatial.transform import Rotation
 
 from g1stream.control.schedule import PhaseState, Schedule
 from g1stream.control.targets import Target, Targets, Timing
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
@@ -143,14 +142,6 @@ def test_damp_keeps_the_last_pose_at_rest(targets):
     assert is_at_rest(target)
 
 
-def test_a_looping_motion_goes_on(motion):
-    looping = Trajectory(motion, loop=True)
-    targets = Asked(looping, start=0.1, play=None, ramp=2.0)
-    rounds = 7 * looping.period
-    assert targets.at(Phase.PLAY, rounds).motion_time == 0.1 + rounds
-    assert targets.at(Phase.PLAY, rounds).q == pytest.approx(looping.sample(0.1).joint_pos)
-
-
 @pytest.mark.parametrize(("distance", "length", "peak"), [(0.1, 2.0, 0.09375), (-3.2, 4.0, 1.5)])
 def test_a_long_way_takes_a_longer_ramp(trajectory, distance, length, peak):
     targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0, ramp_speed=1.5)
@@ -184,17 +175,3 @@ def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(tra
         for part in ("q", "dq", "ddq"):
             assert getattr(target, part)[12:] == pytest.approx(getattr(other, part)[12:])
         assert target.root_pos.tolist() == other.root_pos.tolist()
-
-
-def test_a_question_changes_nothing(trajectory):
-    """Whatever is asked in between, and in whatever order, the answers are the same."""
-    targets = Targets(trajectory, start=0.1)
-    targets.begin(np.linspace(-0.4, 0.4, 29))
-    timing = Timing(wait=0, ramp=2_000_000_000, play=300_000_000, hold=0, damp=0)
-    last = targets.first
-    asked = [(phase, t * 1_000_000) for phase in list(Phase)[1:5] for t in (3, 90, 250)]
-    first = {one: targets.at(*one, timing, last) for one in asked}
-    for one in reversed(asked):
-        again = targets.at(*one, timing, last)
-        for name in ("q", "dq", "ddq", "root_pos", "root_quat_wxyz", "root_lin_vel"):
-            assert getattr(again, name).tolist() == getattr(first[one], name).tolist()

@@ -9,7 +9,7 @@ SOFT = 50  # commands, 100 ms
 
 @pytest.fixture
 def sagging(link):
-    """A robot whose joints sag until the soft start is over; the link and the sag in rad."""
+    """A robot whose joints sag until the soft start is over."""
     link.on_send = lambda n: link.robot.q.__setitem__(slice(None), 0.001 * min(n, SOFT))
     return link
 

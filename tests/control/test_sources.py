@@ -20,14 +20,14 @@ GAINS = Gains(np.full(29, 7.0), np.full(29, 0.5))
 
 
 class Policy(Source):
-    """Targets of its own at 50 Hz: 0.01 rad above those that it is given."""
+    """Targets of its own at 50 Hz, 0.01 rad above those that it is given. It tells each tick."""
 
-    gains = GAINS
+    gains, tells = GAINS, POLICY
 
     def __init__(self, config, robot, *, simulated, complete):
         assert (config.stream.support, simulated, complete) == ("feet", True, True)
-        self.computed, self._until, self._q = [], 0, None
-        self.seen = []
+        self.computed, self.seen, self.ticks = [], [], []
+        self._until, self._q, self._told = 0, None, b""
 
     def change(self, motion):
         if motion.fps > 50.0:
@@ -38,26 +38,13 @@ class Policy(Source):
         self.seen.append((phase, measured.received))
 
     def command(self, moment):
+        self._told = moment.tick.to_bytes(4, "little")
+        self.ticks.append(moment.tick)
         if moment.measured.received >= self._until:
             self._until = moment.measured.received + 20_000_000
             self._q = moment.target.q + 0.01
             self.computed.append(moment.phase)
         return moment.target._replace(q=self._q, dq=np.zeros(29))
-
-
-class Telling(Policy):
-    """It tells the tick of each command."""
-
-    tells = POLICY
-
-    def __init__(self, *about, **more):
-        super().__init__(*about, **more)
-        self.ticks, self._told = [], b""
-
-    def command(self, moment):
-        self._told = moment.tick.to_bytes(4, "little")
-        self.ticks.append(moment.tick)
-        return super().command(moment)
 
     def told(self):
         told, self._told = self._told, b""
@@ -65,9 +52,9 @@ class Telling(Policy):
 
 
 @pytest.fixture
-def policy(monkeypatch, request):
+def policy(monkeypatch):
     module = ModuleType("g1stream.extras.made")
-    module.Policy = getattr(request, "param", Policy)
+    module.Policy = Policy
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.made:Policy")
 
@@ -90,7 +77,6 @@ def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion,
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
 
 
-@pytest.mark.parametrize("policy", [Telling], indirect=True)
 @pytest.mark.usefixtures("policy")
 def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
     link, clock, motion, monkeypatch

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.app.rollout import rollout
+from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
@@ -236,8 +237,10 @@ def test_the_preview_depends_on_the_bridge(made, announced, given, preview):
 @pytest.mark.slow
 @pytest.mark.parametrize("support", ["bolted", "hanging", "follow"])
 def test_the_right_support_follows_ten_times_as_closely_as_none(support):
+    over = {"record.channels": "raw", "stream.ramp": 1.0, "stream.hold": 0.0, "stream.damp": 0.5}
+    config = load_config(over=over)
     known, unknown = (
-        rollout("demo", support=support, feedforward=kind, seconds=2.0).summary()
+        rollout("demo", support=support, feedforward=kind, config=config, seconds=2.0).summary()
         for kind in ("dynamics", "velocity")
     )
     assert known.tracking.all_joints.rmse_rad < unknown.tracking.all_joints.rmse_rad / 10

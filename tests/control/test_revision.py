@@ -34,7 +34,8 @@ def noise(state):
 )
 def test_the_simulated_revision_is_recognised(models, expected, support, feedforward):
     """Between two models that are equal, none is."""
-    config = load_config(None, {"robot": REVISIONS[expected], "stream.hold": 0.0})
+    over = {"robot": REVISIONS[expected], "record.channels": "raw"}
+    config = load_config(over=over | {"stream.hold": 0.0, "stream.damp": 0.5})
     session = rollout(
         "demo", support=support, feedforward=feedforward, config=config, seconds=0.1, noise=noise
     )

@@ -118,8 +118,9 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
     assert "motors" not in about
 
 
-def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config):
+def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config, monkeypatch):
     """Motor numbers, and a motion service that does not answer; a CRC may not be provided."""
+    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
     config = config.model_copy(update={"robot": "g1_23dof"})
     with still_robot(crc=bytes(4), serves=False) as participant:
         report = inspect_for_arming(participant, plan(STILL, config))
@@ -147,7 +148,8 @@ def test_a_mode_that_does_not_fit_is_refused_before_anybody_is_asked(
     assert f"--domain {config.dds.domain}" in caught.value.remedy
 
 
-def test_without_a_robot_there_is_nothing_to_arm(config):
+def test_without_a_robot_there_is_nothing_to_arm(config, monkeypatch):
+    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
     with pytest.raises(WireError):
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
 

@@ -180,8 +180,9 @@ def test_urdf_and_motion_are_attached(out):
     convert("demo", out)
     urdf = G1.default().urdf
     with out.open("rb") as file:
-        attachments = {a.name: a.data for a in make_reader(file).iter_attachments()}
-        (record,) = make_reader(file).iter_metadata()
+        reader = make_reader(file)
+        attachments = {a.name: a.data for a in reader.iter_attachments()}
+        (record,) = reader.iter_metadata()
     assert attachments == {"robot.urdf": urdf.encode(), "demo.csv": motion.source.read_bytes()}
     assert read(out)["/robot_description"][0][1].data == urdf
     values = metadata_from_strings(record.metadata)

@@ -235,7 +235,7 @@ def test_the_preview_depends_on_the_bridge(made, announced, given, preview):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("support", ["bolted", "hanging", "follow"])
+@pytest.mark.parametrize("support", ["hanging", "follow"])
 def test_the_right_support_follows_ten_times_as_closely_as_none(support):
     over = {"record.channels": "raw", "stream.ramp": 1.0, "stream.hold": 0.0, "stream.damp": 0.5}
     config = load_config(over=over)

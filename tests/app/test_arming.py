@@ -1,22 +1,19 @@
 """What has to be asked, and is told, before anything but loopback is commanded."""
 
-from __future__ import annotations
-
-import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from g1stream.app.arming import inspect_for_arming
 from g1stream.app.replay import replay
-from g1stream.app.sim import simulate
 from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
 from g1stream.control.plan import plan
 from g1stream.control.wire_settings import for_wire, with_robot_limits
 from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import SafetyError, WireError
 from g1stream.motion.motion import Motion
@@ -29,51 +26,28 @@ ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}
 
 
 @pytest.fixture
-def simulation(domain_id):
-    """Starts a bridge in a thread."""
-    done, threads = threading.Event(), []
-
-    def start(onboard=None):
-        config = Config.model_validate({"dds": {"domain": domain_id}, "sim": {"onboard": onboard}})
-        ready = threading.Event()
-        options = {"should_stop": done.is_set, "on_ready": ready.set}
-        threads.append(threading.Thread(target=simulate, args=(config,), kwargs=options))
-        threads[-1].start()
-        assert ready.wait(30)
-
-    yield start
-    done.set()
-    for thread in threads:
-        thread.join()
-
-
-@pytest.fixture
-def still_robot(domain_id):
-    """Starts a robot that stands still with every joint at 0.1 rad, and has a motion service."""
-    done, threads = threading.Event(), []
+def still_robot(domain_id, publishing):
+    """A robot that stands still with every joint at 0.1 rad, and has a motion service or not."""
     state = LowState()
     state.q[:], state.quaternion[0] = 0.1, 1.0
     state.mode_machine[()] = 5
     sealed = state.seal()
-    with Participant(domain_id, "lo") as participant:
-        writer = RawWriter(participant, LOWSTATE)
 
-        def start(*, crc=sealed[-4:], serves=True):
+    @contextmanager
+    def run(*, crc=sealed[-4:], serves=True):
+        with Participant(domain_id, "lo") as participant:
+            writer = RawWriter(participant, LOWSTATE)
             service = MotionService(participant) if serves else None
 
             def publish():
-                while not done.wait(0.005):
-                    writer.write(sealed[:-4] + crc)
-                    if service:
-                        service.step(sealed, 1)
+                writer.write(sealed[:-4] + crc)
+                if service:
+                    service.step(sealed, 1)
 
-            threads.append(threading.Thread(target=publish))
-            threads[-1].start()
+            with publishing(publish):
+                yield participant
 
-        yield start
-        done.set()
-        for thread in threads:
-            thread.join()
+    return run
 
 
 @pytest.fixture
@@ -85,8 +59,7 @@ def config(domain_id):
     )
 
 
-@pytest.mark.parametrize("play", [stream, replay])
-@pytest.mark.parametrize("elsewhere", ["interface", "uri"])
+@pytest.mark.parametrize(("play", "elsewhere"), [(stream, "interface"), (replay, "uri")])
 def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewhere, monkeypatch):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     config = Config.model_validate(ELSEWHERE)
@@ -120,14 +93,11 @@ def test_robot_toml_applies_where_nothing_is_set(monkeypatch):
     assert found.stream.soft_start > 0.0
 
 
-def test_the_report_is_about_this_robot_and_motion(still_robot, config):
-    still_robot()
+def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
     reports = []
-    with Participant(config.dds.domain, "lo") as theirs:
-        tap = RawReader(theirs, LOWCMD, depth=4096)
-        with pytest.raises(SafetyError):
-            stream("demo", config, arm=lambda report: reports.append(report) or False)
-        assert tap.take(4096) == []
+    with still_robot(), tap(config.dds.domain) as commands, pytest.raises(SafetyError):
+        stream("demo", config, arm=lambda report: reports.append(report) or False)
+    assert commands == []
     (report,) = reports
     assert (report.domain, report.interface) == (config.dds.domain, "lo")
     assert report.tilt == 0.0
@@ -143,68 +113,55 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config):
     assert report.limbs[0].kp == (40.0, 100.0)
     assert report.limits["state_timeout"] == 1.0
     assert report.motion_service == ok("motion service", "no mode is active")
-    assert {"publisher", "LowState", "mode_machine"} <= {one.about for one in report.findings}
+    about = {one.about for one in report.findings}
+    assert {"publisher", "LowState", "mode_machine"} <= about
+    assert "motors" not in about
 
 
-def test_a_motion_service_that_does_not_answer_is_a_warning(still_robot, config):
-    still_robot(serves=False)
-    with Participant(config.dds.domain, "lo") as participant:
+def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config, monkeypatch):
+    """Motor numbers, and a motion service that does not answer; a CRC may not be provided."""
+    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
+    config = config.model_copy(update={"robot": "g1_23dof"})
+    with still_robot(crc=bytes(4), serves=False) as participant:
         report = inspect_for_arming(participant, plan(STILL, config))
+    assert "motors" in {one.about for one in report.findings}
     assert report.motion_service.level is Level.WARNING
-
-
-@pytest.mark.parametrize(("robot", "warned"), [(None, False), ("g1_23dof", True)])
-def test_motor_numbers_that_no_robot_has_confirmed_are_a_warning(
-    still_robot, config, robot, warned
-):
-    still_robot()
-    config = config.model_copy(update={"robot": robot})
-    with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, plan(STILL, config))
-    assert ("motors" in {one.about for one in report.findings}) == warned
-
-
-def test_the_pose_is_that_of_a_state_whose_crc_is_right_or_not_provided(still_robot, config):
-    still_robot(crc=bytes(4))
-    with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, plan(STILL, config))
     assert report.furthest.distance == pytest.approx(-0.1)
 
 
 def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
-    still_robot(crc=b"\1\2\3\4")
-    with Participant(config.dds.domain, "lo") as participant, pytest.raises(WireError):
+    with still_robot(crc=b"\1\2\3\4") as participant, pytest.raises(WireError):
         inspect_for_arming(participant, plan(STILL, config))
 
 
-def test_an_active_mode_is_refused_before_anybody_is_asked(simulation, config):
-    simulation("ai")
-    with pytest.raises(SafetyError) as caught:
+@pytest.mark.parametrize(
+    ("onboard", "via", "remedy"), [("ai", "lowcmd", "release"), (None, "arm_sdk", "restore")]
+)
+def test_a_mode_that_does_not_fit_is_refused_before_anybody_is_asked(
+    bridge, config, onboard, via, remedy
+):
+    config = load_config(over=config.model_dump() | {"stream.via": via})
+    with bridge(onboard), pytest.raises(SafetyError) as caught:
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
-    assert "ai" in caught.value.cause
-    assert f"g1stream robot release --domain {config.dds.domain}" in caught.value.remedy
+    assert "active" in caught.value.cause
+    assert f"g1stream robot {remedy}" in caught.value.remedy
+    assert f"--domain {config.dds.domain}" in caught.value.remedy
 
 
-def test_without_a_robot_there_is_nothing_to_arm(config):
+def test_without_a_robot_there_is_nothing_to_arm(config, monkeypatch):
+    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
     with pytest.raises(WireError):
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
 
 
-def test_armed_starts_with_damping(simulation, config):
-    simulation()
-    with Participant(config.dds.domain, "lo") as theirs:
-        tap = RawReader(theirs, LOWCMD, depth=4096)
+def test_armed_starts_with_damping(bridge, config, tap):
+    with bridge(), tap(config.dds.domain) as commands:
         summary = stream("demo", config, arm=lambda report: True)
-        samples = tap.take(4096)
     assert summary.termination.reason == ""
-    stiffness = []
-    for sample in samples:
-        command = LowCmd()
-        command.load(sample.data)
-        stiffness.append(float(command.kp.max()))
+    stiffness = [float(one.command.kp.max()) for one in commands]
     soft = next(i for i, kp in enumerate(stiffness) if kp)
-    damped = samples[soft].publish_time - samples[0].publish_time
     # The 0.1 s are between deadlines, which the first command may be late for.
+    damped = commands[soft].stamp - commands[0].stamp
     assert damped + 1e3 * summary.stream.lateness_us.max >= 0.09e9
     assert set(stiffness[soft:]) == {100.0, 0.0}
     assert stiffness[-1] == 0.0

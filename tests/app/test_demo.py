@@ -1,5 +1,3 @@
-"""What a demo refuses before anything is started."""
-
 import pytest
 
 from g1stream.app import demo as program
@@ -12,13 +10,24 @@ class StartedError(Exception):
 
 
 @pytest.fixture(autouse=True)
-def nothing_starts(monkeypatch):
-    def start(*_):
+def starts(monkeypatch):
+    """Plays the demo as far as its simulator, and gives the settings with which it would start."""
+    started = []
+
+    def start(_, config):
+        started.append(config)
         raise StartedError
 
     monkeypatch.setattr(program, "_publishers", lambda *_: [])
     monkeypatch.setattr(program, "Child", start)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+
+    def play(out, **settings):
+        with pytest.raises(StartedError):
+            program.demo("demo", out, Config.model_validate(settings))
+        return started.pop()
+
+    return play
 
 
 @pytest.mark.parametrize("name", ["session.mcap", "tracking.png"])
@@ -62,39 +71,34 @@ def test_a_demo_does_not_leave_the_machine(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("given", "chosen"), [({}, 3), ({"domain": 3}, 3), ({"domain": 2}, None)])
-def test_it_avoids_domains_that_are_taken_unless_one_is_asked_for(monkeypatch, given, chosen):
+def test_it_avoids_domains_that_are_taken_unless_one_is_asked_for(starts, tmp_path, monkeypatch):
     others = {1: ["g1stream sim"], 2: ["unitree_mujoco"]}
     monkeypatch.setattr(program, "_publishers", lambda domain, _: others.get(domain, []))
-    config = Config.model_validate({"dds": given})
-    if chosen:
-        assert program._with_free_domain(config).dds.domain == chosen
-    else:
-        with pytest.raises(WireError, match="unitree_mujoco"):
-            program._with_free_domain(config)
+    for given in ({}, {"domain": 3}):
+        assert starts(tmp_path, dds=given).dds.domain == 3
+    with pytest.raises(WireError, match="unitree_mujoco"):
+        program.demo("demo", tmp_path, Config.model_validate({"dds": {"domain": 2}}))
 
 
-@pytest.mark.parametrize("table", ["sim", "stream"])
-def test_on_its_feet_nothing_holds_the_robot(tmp_path, monkeypatch, table):
-    started = []
-    monkeypatch.setattr(program, "Child", lambda *given: started.append(given) or 1 / 0)
-    config = Config.model_validate({table: {"support": "feet"}})
-    played = program._on_its_feet(config)
-    assert (played.sim.support, played.stream.support) == ("free", "feet")
-    with pytest.raises(ZeroDivisionError):
-        program.demo("demo", tmp_path, config)
-    assert [given[1].sim.support for given in started] == ["free"]
+POLICY = {"policy": "p.onnx"}
 
 
-@pytest.mark.parametrize("support", [None, "free", "feet"])
-def test_a_policy_balances_by_itself(support):
-    sim = {"support": support} if support else {}
-    config = Config.model_validate({"sim": sim, "stream": {"policy": "p.onnx"}})
-    played = program._on_its_feet(config)
-    assert (played.sim.support, played.stream.support) == ("free", None)
+@pytest.mark.parametrize(
+    ("sim", "stream", "balanced"),
+    [
+        ({"support": "feet"}, {}, "feet"),
+        ({}, {"support": "feet"}, "feet"),
+        ({}, POLICY, None),  # a policy balances by itself
+        ({"support": "free"}, POLICY, None),
+        ({"support": "feet"}, POLICY, None),
+    ],
+)
+def test_on_its_feet_nothing_holds_the_robot(starts, tmp_path, sim, stream, balanced):
+    played = starts(tmp_path, sim=sim, stream=stream)
+    assert (played.sim.support, played.stream.support) == ("free", balanced)
 
 
-@pytest.mark.parametrize("stream", [{"support": "feet"}, {"policy": "p.onnx"}])
+@pytest.mark.parametrize("stream", [{"support": "feet"}, POLICY])
 def test_a_robot_that_is_held_does_not_stand(tmp_path, stream):
     config = Config.model_validate({"sim": {"support": "hanging"}, "stream": stream})
     with pytest.raises(ConfigError, match="hanging"):

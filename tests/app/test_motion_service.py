@@ -1,14 +1,7 @@
-"""Release and restore of a mode of the motion service, against the bridge."""
-
-from __future__ import annotations
-
-import threading
-
 import pytest
 
 from g1stream.app.motion_service import onboard_status, release_mode, restore_mode
-from g1stream.app.sim import simulate
-from g1stream.config import Config, DdsConfig, SimConfig
+from g1stream.config import DdsConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD
@@ -17,17 +10,9 @@ from g1stream.errors import SafetyError, WireError
 
 
 @pytest.fixture
-def robot(domain_id):
-    """A bridge with an onboard controller, in a thread; where it is."""
-    where, done, ready = DdsConfig(domain=domain_id), threading.Event(), threading.Event()
-    config = Config(dds=where, sim=SimConfig(onboard="advanced"))
-    options = {"should_stop": done.is_set, "on_ready": ready.set}
-    thread = threading.Thread(target=simulate, args=(config,), kwargs=options)
-    thread.start()
-    assert ready.wait(30)
-    yield where
-    done.set()
-    thread.join()
+def robot(bridge):
+    with bridge("advanced") as where:
+        yield where
 
 
 def test_what_was_released_is_restored(robot):

@@ -1,4 +1,3 @@
-import json
 from hashlib import sha256
 
 import numpy as np
@@ -6,7 +5,6 @@ import pytest
 
 import g1stream
 from g1stream.app.sim import make_world
-from g1stream.cli.main import main
 from g1stream.config import SimConfig, load_config
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import EXAMPLE_KP, JOINT_NAMES, N_JOINTS
@@ -36,13 +34,9 @@ def params(tmp_path):
     return path
 
 
-@pytest.fixture(scope="module")
-def rollouts(tmp_path_factory):
-    """Of a robot with parameters, whose feed-forward has them."""
-    path = tmp_path_factory.mktemp("params") / "g1.toml"
-    path.write_text(TEXT)
-    config = load_config(over={"params": path, "record.channels": "raw"})
-    return path, g1stream.rollout("demo", config=config, seconds=2.0)
+def played(path, feedforward):
+    over = {"params": path, "record.channels": "raw", "stream.feedforward": feedforward}
+    return g1stream.rollout("demo", config=load_config(over=over), seconds=1.0).summary()
 
 
 def test_the_simulated_motors_apply_the_scaled_torque(params):
@@ -64,43 +58,19 @@ def test_the_simulated_joints_have_the_damping(params):
     assert (model.dof_frictionloss[:N_JOINTS] == 0.5).all()
 
 
-def test_the_session_has_them(rollouts):
-    path, session = rollouts
-    info = session.summary().params
-    assert (info.path, info.sha256) == (str(path), sha256(TEXT.encode()).hexdigest())
+def test_the_session_and_the_feed_forward_have_them(params):
+    """Of the same robot, a stream that knows its parameters is closer, and not late."""
+    summary = played(params, "dynamics")
+    info, knows = summary.params, summary.tracking.all_joints
+    assert (info.path, info.sha256) == (str(params), sha256(TEXT.encode()).hexdigest())
     assert info.values["mass"] == {"torso_link": 1.0}
     assert info.values["command_delay"] == 0.006
-    assert str(info).startswith("g1.toml, command delay 0.006 s, damping of 1")
-    assert str(info) in " ".join(str(session.summary()).split())
-
-
-def test_the_feed_forward_has_them(rollouts):
-    """Of the same robot, a stream that knows its parameters is closer, and not late."""
-    path, session = rollouts
-    knows = session.summary().tracking.all_joints
-    config = load_config(
-        over={"params": path, "record.channels": "raw", "stream.feedforward": "velocity"}
-    )
-    without = g1stream.rollout("demo", config=config, seconds=2.0).summary().tracking.all_joints
-    assert knows.rmse_rad < 0.2 * without.rmse_rad
+    assert str(info) in " ".join(str(summary).split())
+    assert knows.rmse_rad < 0.2 * played(params, "velocity").tracking.all_joints.rmse_rad
     assert knows.delay_s == pytest.approx(0.0, abs=0.001)  # commands are earlier by it
-    assert session.summary().stream.preview_s == pytest.approx(0.008)
+    assert summary.stream.preview_s == pytest.approx(0.008)
 
 
-def test_parameters_of_another_robot_are_refused(params):
-    params.write_text('robot = "g1_29dof"')
-    config = load_config(over={"params": params, "robot": "g1_29dof_rev_1_0"})
-    with pytest.raises(ConfigError):
-        g1stream.rollout("demo", config=config, seconds=1.0)
-
-
-def test_info_prints_them(rollouts, tmp_path, capsys):
-    _, session = rollouts
-    session.save(tmp_path / "session.mcap")
-    assert main(["info", str(tmp_path / "session.mcap"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["params"]["values"]["friction"] == {"*": 0.5}
-
-
-def test_bad_input(tmp_path, capsys):
-    assert main(["sim", "--params", str(tmp_path / "none.toml"), "--domain", "99"]) == 2
-    assert "none.toml" in capsys.readouterr().err
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.toml"):
+        G1.load(params=tmp_path / "none.toml")

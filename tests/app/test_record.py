@@ -1,9 +1,6 @@
-"""Recording as a program: when it is ready, and what it leaves when it fails."""
-
-from __future__ import annotations
-
 import logging
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +16,6 @@ from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowS
 from g1stream.errors import ConfigError, WireError
 from g1stream.recorder import recorder
 from g1stream.robot.model import G1
-from g1stream.session.mcap_reader import McapFile
 from g1stream.session.records import MotionInfo, SessionInfo
 from g1stream.session.writer import SessionWriter
 
@@ -72,88 +68,58 @@ def test_a_stream_names_its_recording_and_its_recorder_takes_the_name(config, tm
     assert [path.name == "s.mcap" for path in named] == [True, False]
 
 
-def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tmp_path, until):
+def test_samples_are_received_while_waiting_for_the_stream(config, beside, tmp_path, until):
     """Each when it comes: ten that come one by one do not share a log time."""
-    stop = threading.Event()
-    path = tmp_path / "s.mcap"
-    with Participant(domain_id, "lo") as participant:
+    path, recorders = tmp_path / "s.mcap", []
+    options = {"session": SESSION, "on_recorder": recorders.append}
+    with (
+        Participant(config.dds.domain, "lo") as participant,
+        beside(program.record, path, config, **options) as recording,
+    ):
         states = RawWriter(participant, LOWSTATE, 20)
-        ready, recorders = threading.Event(), []
-        thread = threading.Thread(
-            target=program.record,
-            args=(path, config),
-            kwargs={
-                "session": SESSION,
-                "should_stop": stop.is_set,
-                "on_ready": ready.set,
-                "on_recorder": recorders.append,
-            },
+        until(
+            lambda: recorders and recorders[0]._receiver.counts.matched[LOWSTATE.name],
+            "the recorder's reader",
         )
-        thread.start()
-        try:
-            until(
-                lambda: recorders and recorders[0]._receiver.counts.matched[LOWSTATE.name],
-                "the recorder's reader",
-            )
-            for _ in range(10):
-                states.write(LowState().tobytes())
-                stop.wait(0.05)
-            assert not ready.is_set()
-            RawWriter(participant, LOWCMD)
-            RawWriter(participant, REFERENCE)
-            until(ready.is_set, "the recorder")
-        finally:
-            stop.set()
-            thread.join()
-    times = [
-        stamp
-        for _, messages in McapFile(path).batches({"/lowstate"})
-        for stamp in messages.log_times.tolist()
-    ]
-    assert len(set(times)) == 10
+        for _ in range(10):
+            states.write(LowState().tobytes())
+            time.sleep(0.05)
+        assert not recording.ready.is_set()
+        RawWriter(participant, LOWCMD)
+        RawWriter(participant, REFERENCE)
+        until(recording.ready.is_set, "the recorder")
+    assert len(set(open_session(path).measured.log_time.tolist())) == 10
 
 
 @pytest.mark.parametrize("goes_on", [False, True])
 def test_the_recorder_and_its_file_tell_the_same_problems(
-    config, domain_id, tmp_path, until, goes_on
+    config, beside, tmp_path, until, monkeypatch, goes_on
 ):
     """That commands have stopped is one where they come again, and none at the program's end."""
-    stop, path, summaries = threading.Event(), tmp_path / "s.mcap", []
-    with Participant(domain_id, "lo") as participant:
+    path, logger = tmp_path / "s.mcap", logging.getLogger("g1stream.test_record")
+    with (
+        Participant(config.dds.domain, "lo") as participant,
+        beside(program.record, path, config) as recording,
+    ):
         states, commands, log = (RawWriter(participant, t, 20) for t in (LOWSTATE, LOWCMD, LOG))
-        handler = LogHandler("sim", log.write)
-        logger = logging.getLogger("g1stream.test_record")
-        logger.addHandler(handler)
-        ready = threading.Event()
-
-        def record():
-            options = {"should_stop": stop.is_set, "on_ready": ready.set}
-            summaries.append(program.record(path, config, **options))
-
-        thread = threading.Thread(target=record)
-        thread.start()
-        try:
-            until(ready.is_set, "the recorder")
-            until(lambda: states.matched and commands.matched and log.matched, "the recorder")
-            for _ in range(3):
-                states.write(LowState().seal())
-                commands.write(LowCmd().seal())
-                stop.wait(0.02)
-            logger.warning("LowCmd timeout: the motors only damp")
-            logger.warning("3 of 29 motors are hot")
-            for _ in range(3 * goes_on):
-                stop.wait(0.02)
-                commands.write(LowCmd().seal())
-            stop.wait(0.3)
-        finally:
-            logger.removeHandler(handler)
-            stop.set()
-            thread.join()
-    (told,) = summaries
+        monkeypatch.setattr(logger, "handlers", [LogHandler("sim", log.write)])
+        until(recording.ready.is_set, "the recorder")
+        until(lambda: states.matched and commands.matched and log.matched, "the recorder")
+        for _ in range(3):
+            states.write(LowState().seal())
+            commands.write(LowCmd().seal())
+            time.sleep(0.02)
+        logger.warning("LowCmd timeout: the motors only damp")
+        logger.warning("3 of 29 motors are hot")
+        for _ in range(3 * goes_on):
+            time.sleep(0.02)
+            commands.write(LowCmd().seal())
+        time.sleep(0.3)
+    told, found = recording.result, open_session(path).summary()
     timeout = ["sim: LowCmd timeout: the motors only damp"] * goes_on
-    assert [p for p in told.problems if "sim:" in p] == [*timeout, "sim: 3 of 29 motors are hot"]
-    found = open_session(path).summary()
-    assert [p for p in found.problems if "sim:" in p] == [p for p in told.problems if "sim:" in p]
+    for summary in (told, found):
+        problems = [problem for problem in summary.problems if "sim:" in problem]
+        assert problems == [*timeout, "sim: 3 of 29 motors are hot"]
     assert found.recorder.warnings == told.recorder.warnings
 
 

@@ -1,7 +1,5 @@
 """What is sent is within the limits, whatever is asked for and whatever a state claims."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -43,7 +41,7 @@ def some(rng, scale, share):
 )
 @example(seed=1, margin=0.0, stiffness=40.0, lies=0.02, leaps=0.0, outside=0.0)
 @example(seed=6098, margin=0.0, stiffness=1.0, lies=0.5, leaps=0.5, outside=0.25)
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_every_command_is_within_the_limits(seed, margin, stiffness, lies, leaps, outside):
     rng = np.random.default_rng(seed)
     lower, upper, fastest = ROBOT.lower + margin, ROBOT.upper - margin, ROBOT.velocity * ABOVE

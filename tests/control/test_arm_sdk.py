@@ -1,13 +1,10 @@
 """Commands on rt/arm_sdk: only arms and waist, and a weight that always goes back to 0."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
 import pytest
 
-from g1stream.clock import Ticker
 from g1stream.config import load_config
 from g1stream.control.command import hand_back_commands
 from g1stream.control.loop import make_loop
@@ -22,16 +19,12 @@ STEP = 0.001  # of the weight between two commands: 2 ms of 2 s
 HANDING_BACK = 2.05  # s
 LEGS, ARMS = slice(0, 12), slice(12, 29)
 
-#: What ends a session, n commands after its first one, and whether that is an error of the loop.
+#: What ends a session in RAMP, 600 commands after its first one.
 ENDS = {
     "the motion ends": None,
-    "a signal in RAMP": lambda loop, link: loop.request_stop("SIGINT"),
-    "the robot tilts": lambda loop, link: link.robot.quaternion.__setitem__(
-        slice(None), (0.7071, 0.7071, 0.0, 0.0)
-    ),
+    "a signal": lambda loop, link: loop.request_stop("SIGINT"),
     "LowState stops": lambda loop, link: setattr(link, "silent", True),
     "the loop fails": lambda loop, link: setattr(link, "receive", None),
-    "another publisher": lambda loop, link: link.others.append("policy (pid 4242)"),
 }
 
 
@@ -68,6 +61,9 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end)
     assert len(falling) == round(HANDING_BACK * 1e9 / PERIOD)
     if end == "the motion ends":
         assert weights.max() == 1.0
+        # RAMP lasts as long as the weight needs.
+        assert len(link.in_phase(Phase.RAMP)) == 1000
+        assert float(link.in_phase(Phase.PLAY)[0].command.weight) == pytest.approx(1.0)
     else:  # 600 commands, and those until the silence was noticed
         assert 0.6 < weights.max() < 0.7
     for sent in falling:  # neither limp nor moving
@@ -82,13 +78,6 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end)
         for values in (command.q, command.dq, command.tau, command.kp, command.kd):
             assert not values[LEGS].any()
         assert (command.kp[ARMS] > 0.0).all()
-
-
-def test_the_ramp_lasts_as_long_as_the_weight_needs(made, link):
-    made().run()
-    playing = link.in_phase(Phase.PLAY)
-    assert float(playing[0].command.weight) == pytest.approx(1.0)
-    assert len(link.in_phase(Phase.RAMP)) == 1000
 
 
 @pytest.mark.parametrize(
@@ -108,14 +97,13 @@ def test_arms_that_do_not_play_hold_their_pose(made, link):
         assert not sent.command.q[22:].any()
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0, np.nan, 7.0])
+@pytest.mark.parametrize("weight", [0.3, np.nan, 7.0])
 def test_what_a_guard_sends_after_a_command(weight):
     last = LowCmd()
     last.q[:], last.dq[:], last.tau[:], last.kp[:] = 0.5, 1.0, 2.0, 40.0
     last.weight[()] = weight
-    frames = list(hand_back_commands(last.seal(), PERIOD))
     command, weights = LowCmd(), []
-    for frame in frames:
+    for frame in hand_back_commands(last.seal(), PERIOD):
         command.load(frame)
         assert command.crc_matches()
         assert (command.q == 0.5).all()
@@ -126,10 +114,4 @@ def test_what_a_guard_sends_after_a_command(weight):
     assert all(0.0 <= after <= before for before, after in itertools.pairwise(weights))
     assert weights[-1] == 0.0
     assert weights.count(0.0) > 20
-
-
-def test_frames_come_at_the_ticks_of_a_clock(clock):
-    frames = hand_back_commands(LowCmd().seal(), PERIOD)
-    start = clock.now()
-    ticks = [tick for tick, _ in zip(Ticker(clock, PERIOD, start), frames, strict=False)]
-    assert ticks[-1][1] - start == pytest.approx(HANDING_BACK * 1e9, abs=PERIOD)
+    assert len(weights) == round(HANDING_BACK * 1e9 / PERIOD) + 1

@@ -1,7 +1,5 @@
 """The age of the commands that motors follow, which make their torque as unitree_mujoco does."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 
@@ -18,7 +16,7 @@ IMU = ImuReading(*(np.zeros(n, np.float32) for n in (4, 3, 3)))
 
 def found(
     delay,
-    seconds=6.0,
+    seconds=5.0,
     rate=500.0,
     noise=0.0,
     bias=0.0,
@@ -61,29 +59,21 @@ def found(
     return found
 
 
-@pytest.mark.parametrize(
-    ("delay", "rate"),
-    [(0.15, 200), (0.15, 500), (0.4, 60), (0.4, 90), (0.4, 200), (0.4, 500), (1.6, 60), (1.6, 500)],
-)
+@pytest.mark.parametrize(("delay", "rate"), [(0.15, 200), (0.15, 500), (0.4, 90), (1.6, 60)])
 def test_commands_that_wait_in_a_queue(delay, rate):
     result = found(delay, rate=rate, noise=0.5, bias=0.5)
     assert result.longest == pytest.approx(delay, abs=0.03)
     assert result.stop_reason()
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.01, 0.08])
-@pytest.mark.parametrize("noise", [0.0, 0.5, 3.0])
+@pytest.mark.parametrize(("delay", "noise"), [(0.0, 0.0), (0.01, 3.0), (0.08, 0.5)])
 def test_commands_that_do_not(delay, noise):
     result = found(delay, noise=noise, bias=0.3)
     assert result.longest == 0.0
     assert not result.stop_reason()
 
 
-def test_a_motor_at_its_limit_is_not_late():
-    assert found(0.0, noise=0.5, moving=False, away=1.5).longest == 0.0
-
-
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_commands_that_sensor_noise_changes_are_not_late(seed):
     """Those in between are not kept, and an old one may be nearer to them than the new ones."""
     result = found(0.01, seconds=3.0, moving=False, shaken=10.0, seed=seed)
@@ -94,17 +84,21 @@ def test_nothing_is_said_before_commands_and_readings_are_enough():
     assert found(0.4, seconds=2.2).longest is None
 
 
-@pytest.mark.parametrize(("noise", "shaken"), [(0.5, 0.0), (0.0, 0.02)])
-def test_nothing_is_found_of_a_robot_at_rest(noise, shaken):
-    assert found(0.4, noise=noise, shaken=shaken, moving=False).longest == 0.0
+@pytest.mark.parametrize(
+    ("delay", "disturbed"),
+    [(0.0, {"noise": 0.5, "away": 1.5}), (0.4, {"noise": 0.5}), (0.4, {"shaken": 0.02})],
+    ids=["a motor at its limit", "noise", "a force"],
+)
+def test_nothing_is_found_of_a_robot_at_rest(delay, disturbed):
+    assert found(delay, moving=False, **disturbed).longest == 0.0
 
 
 @pytest.mark.parametrize("balanced", [True, False])
 def test_a_delay_is_warned_of_once_and_remembered_after_its_end(balanced, caplog):
-    during = found(0.4, seconds=4.0, balanced=balanced)
+    during = found(0.4, balanced=balanced)
     assert bool(during.stop_reason()) == balanced
     caplog.clear()
-    after = found(0.4, seconds=9.0, until=4.0, balanced=balanced)
+    after = found(0.4, seconds=8.0, until=4.0, balanced=balanced)
     assert after.longest == pytest.approx(0.4, abs=0.03)
     assert not after.stop_reason()
     assert [record.levelname for record in caplog.records] == ["WARNING"]

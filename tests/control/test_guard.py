@@ -1,5 +1,3 @@
-"""When the guard takes over, what it then sends, and what it shares with its stream."""
-
 import os
 import subprocess
 import sys
@@ -43,7 +41,6 @@ def test_nothing_is_taken_over_before_the_first_command(watch):
     ("silence", "state", "expected"),
     [
         (19, stopped, Takeover.NONE),
-        (20, running, Takeover.NONE),
         (20, stopped, Takeover.STOPPED),
         (39, running, Takeover.NONE),
         (40, running, Takeover.SILENT),
@@ -62,11 +59,7 @@ def test_the_guards_own_lateness_is_no_silence(watch):
     assert watch.judge(due, due, START, running) is Takeover.NONE
     due = START + 120 * MS
     assert watch.judge(due, due, START, running) is Takeover.SILENT
-
-
-def test_a_late_guard_does_not_excuse_the_next_silence(watch):
-    watch.judge(START + 100 * MS, START + 20 * MS, START, running)
-    again = START + 101 * MS
+    again = due + MS  # a command, whose silence that lateness does not excuse
     now = again + LIMIT
     assert watch.judge(now, now, again, running) is Takeover.SILENT
 
@@ -117,7 +110,7 @@ def test_a_command_that_the_guard_replaces_meanwhile_is_read_whole(heartbeat):
         try:
             while not heartbeat.replacement:
                 assert guard.poll() is None
-            read = {heartbeat.replacement for _ in range(300_000)}
+            read = {heartbeat.replacement for _ in range(100_000)}
         finally:
             guard.kill()
     assert len(read) > 10
@@ -125,24 +118,18 @@ def test_a_command_that_the_guard_replaces_meanwhile_is_read_whole(heartbeat):
 
 
 def test_the_guard_damps_where_the_last_command_was():
+    """The slots of absent motors stay zero."""
     last, damping = LowCmd(), LowCmd()
-    last.motor_mode, last.mode_machine[()] = 1, 5
+    last.motor_mode, last.mode_machine[()] = np.arange(29) % 7 > 0, 5
     last.q[:] = np.linspace(-1, 1, 29)
     last.dq[:], last.tau[:], last.kp[:], last.kd[:] = 1.0, 2.0, 100.0, 4.0
     damping.load(damping_command(last.seal(), 3.0))
     assert damping.crc_matches()
     assert np.array_equal(damping.q, last.q)
     assert np.array_equal((damping.kp, damping.dq, damping.tau), np.zeros((3, 29)))
-    assert (damping.kd == 3.0).all()
-    assert (damping.motor_mode == 1).all()
-    assert damping.mode_machine == 5
-
-
-def test_damping_leaves_the_slots_of_absent_motors_zero():
-    last, damping = LowCmd(), LowCmd()
-    last.motor_mode = np.where(np.arange(29) % 7, 1, 0).astype(np.uint8)
-    damping.load(damping_command(last.seal(), 3.0))
     assert damping.kd.tolist() == [3.0 if i % 7 else 0.0 for i in range(29)]
+    assert damping.motor_mode.tolist() == [int(i % 7 > 0) for i in range(29)]
+    assert damping.mode_machine == 5
 
 
 @pytest.mark.parametrize("why", [Takeover.STOPPED, Takeover.SILENT])

@@ -105,12 +105,7 @@ def test_an_empty_wire(ends):
     assert ends.link.support() is None
     assert not ends.link.receive(state)
     assert state.tobytes() == LowState().tobytes()
-
-
-def test_subscribers_are_matched_and_leave(ends, until):
-    with ends.subscribed():
-        until(lambda: ends.link.subscribers() == 1, "a subscriber")
-    until(lambda: ends.link.subscribers() == 0, "its departure")
+    assert ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
 
 
 def test_a_bridge_says_how_it_holds_the_robot(ends, until):
@@ -140,21 +135,14 @@ def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
             command.q[:] = i / 7
             reference.q[:] = i / 7
             sent.append((command.seal(), reference.tobytes(), STAMP + i))
-            ends.link.send(*sent[-1])
+            before = ends.now()
+            assert before <= ends.link.send(*sent[-1]) <= ends.now()
         until(lambda: len(ends.commands()) == 3, "three commands")
         until(lambda: len(ends.references()) == 3, "three references")
         assert ends.commands() == [(command, stamp) for command, _, stamp in sent]
         assert ends.references() == [(reference, stamp) for _, reference, stamp in sent]
-
-
-def test_send_returns_when_the_command_was_written(ends):
-    before = ends.now()
-    out = ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
-    assert before <= out <= ends.now()
-
-
-def test_sending_without_a_subscriber_is_no_error(ends):
-    ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
+        assert ends.link.other_publishers() == []
+    until(lambda: ends.link.subscribers() == 0, "the departure of the subscriber")
 
 
 def test_another_publisher_is_named_while_it_is_there(ends, until):
@@ -163,11 +151,3 @@ def test_another_publisher_is_named_while_it_is_there(ends, until):
         (other,) = ends.link.other_publishers()
         assert name in other
     until(lambda: not ends.link.other_publishers(), "its departure")
-
-
-def test_our_own_commands_are_no_other_publisher(ends, until):
-    with ends.subscribed():
-        until(lambda: ends.link.subscribers() == 1, "a subscriber")
-        ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
-        until(ends.commands, "the command")
-        assert ends.link.other_publishers() == []

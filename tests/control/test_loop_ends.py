@@ -1,5 +1,3 @@
-"""Every way out of the loop: what stops it, what breaks it, and that the robot is damped."""
-
 import logging
 from dataclasses import replace
 
@@ -15,11 +13,10 @@ from g1stream.types import Phase
 
 MS = 1_000_000
 PERIOD = 2 * MS
-TOO_FAST = SafetyConfig().max_joint_speed + 1.0
-RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing` last
+RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 100  # commands that the phases of `timing` last
 
 
-@pytest.mark.parametrize("n", [0, 30, RAMP, 200, RAMP + PLAY + 3])
+@pytest.mark.parametrize("n", [0, RAMP, 200, RAMP + PLAY + 3])
 def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     loop = make_loop()
     link.at_send(n, lambda: loop.request_stop("SIGINT", logging.INFO))
@@ -73,7 +70,7 @@ def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
     assert loop.report.rate is None
 
 
-@pytest.mark.parametrize("n", [0, 10, 200, RAMP + PLAY + 3])
+@pytest.mark.parametrize("n", [0, 200, RAMP + PLAY + 3])
 def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n):
     link.at_send(n, lambda: setattr(link, "guard_took_over", "the guard damps"))
     loop = make_loop()
@@ -87,57 +84,41 @@ def test_a_stale_state_damps(make_loop, link):
     link.at_send(99, lambda: setattr(link, "silent", True))
     report = make_loop().run()
     assert "no LowState for 0.102 s" in report.reason
+    assert "skipped" not in report.reason
     # The last state came with the command before; the first tick beyond 0.1 s prepares the next.
     damped = link.in_phase(Phase.DAMP)[0]
     assert damped.time - link.sent[98].time == 102 * MS + PERIOD
     link.assert_damped()
 
 
-@pytest.mark.parametrize(
-    ("field", "place", "value", "reason"),
-    [
-        ("quaternion", slice(None), (0.8, 0.6, 0, 0), "tilt is 1.29 rad"),
-        ("quaternion", slice(None), 0, "norm 0.000"),
-        ("dq", 3, TOO_FAST, "left_knee_joint"),
-        ("q", 3, np.nan, "NaN"),
-        ("q", 3, 100.0, "left_knee_joint is at 100.000 rad"),
-        ("mode_machine", (), 4, "mode_machine changed from 5 to 4"),
-        ("wireless_remote", slice(2, 4), (0x20, 0x02), "L2+B"),
-    ],
-)
-def test_a_bad_measurement_stops(make_loop, link, field, place, value, reason):
-    def spoil():
-        getattr(link.robot, field)[place] = value
-
-    link.at_send(120, spoil)
-    report = make_loop().run()
-    assert reason in report.reason
-    assert report.commands == 121 + DAMP
-    link.assert_damped()
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "reason"),
-    [("mode_machine", 4, "mode_machine 4"), ("quaternion", (0.7, 0.0, 0.714, 0.0), "tilt")],
-)
-def test_a_wrong_robot_and_a_fallen_one_get_no_command(make_loop, link, field, value, reason):
-    getattr(link.robot, field)[...] = value
-    assert reason in make_loop().run().reason
+def test_a_wrong_robot_gets_no_command(make_loop, link):
+    link.robot.mode_machine[()] = 4
+    assert "mode_machine 4" in make_loop().run().reason
     assert link.sent == []
 
 
-def test_another_publisher_is_refused_before_the_first_command(make_loop, link):
-    with link.contested() as name, pytest.raises(SafetyError, match="publisher on rt/lowcmd") as no:
-        make_loop().run()
-    assert name in no.value.cause
+PUBLISHERS = ["policy (pid 4242)", "another (pid 1)"]
+of_commands_or_states = pytest.mark.parametrize(
+    ("others", "topic"), [("others", "rt/lowcmd"), ("state_others", "rt/lowstate")]
+)
+
+
+@of_commands_or_states
+def test_another_publisher_is_refused_before_the_first_command(make_loop, link, others, topic):
+    setattr(link, others, PUBLISHERS)
+    loop = make_loop()
+    with pytest.raises(SafetyError, match=f"publisher on {topic}: ") as no:
+        loop.run()
+    assert ", ".join(PUBLISHERS) in no.value.cause
+    assert loop.report.reason == no.value.cause.rstrip(".")
     assert link.sent == []
 
 
-def test_another_publisher_stops_within_a_tenth_of_a_second(make_loop, link):
-    other = link.contested()
-    link.at_send(120, other.__enter__)
+@of_commands_or_states
+def test_another_publisher_stops_within_a_tenth_of_a_second(make_loop, link, others, topic):
+    link.at_send(120, lambda: setattr(link, others, PUBLISHERS))
     report = make_loop().run()
-    assert "publisher on rt/lowcmd" in report.reason
+    assert report.reason.endswith(f"publisher on {topic}: {', '.join(PUBLISHERS)}")
     assert 1 <= report.commands - DAMP - 120 <= 51
     link.assert_damped()
 
@@ -156,85 +137,19 @@ def test_the_guard_is_no_other_publisher(make_loop, link, monkeypatch):
     link.assert_damped()
 
 
-def test_two_publishers_of_the_state_are_named(make_loop, link):
-    names = ["a simulator (pid 1)", "another (pid 2)"]
-    link.at_send(120, lambda: setattr(link, "state_others", names))
-    report = make_loop().run()
-    assert report.reason == f"more than one publisher on rt/lowstate: {', '.join(names)}"
-    link.assert_damped()
-
-
-def test_two_publishers_of_the_state_get_no_command(make_loop, link):
-    link.state_others = ["one", "two"]
-    loop = make_loop()
-    with pytest.raises(SafetyError, match="publisher on rt/lowstate: one, two") as no:
-        loop.run()
-    assert loop.report.reason == no.value.cause.rstrip(".")
-    assert link.sent == []
-
-
-def test_a_restarted_simulator_is_another_robot(make_loop, link):
-    link.at_send(120, lambda: setattr(link, "publisher", 2))
-    report = make_loop().run()
-    assert "publisher of LowState has changed" in report.reason
-    assert report.commands == 121 + DAMP
-    link.assert_damped()
-
-
 @pytest.mark.parametrize(
-    ("field", "value", "reason"),
-    [("q", 100.0, "left_hip_pitch_joint is at 100.000 rad"), ("quaternion", 0.0, "norm 0.000")],
+    ("change", "reason"),
+    [
+        (lambda link: link.robot.wireless_remote.fill(0), "R1 was released on the remote"),
+        (lambda link: link.robot.q.put(3, np.nan), "LowState contains a position"),
+        (lambda link: setattr(link, "publisher", 2), "the publisher of LowState has changed"),
+    ],
 )
-def test_what_is_not_plausible_is_no_start(make_loop, link, clock, field, value, reason):
-    getattr(link.robot, field)[0] = value
-    start = clock.now()
-    report = make_loop().run()
-    assert reason in report.reason
-    assert "stream.wait" in report.reason
-    assert link.sent == []
-    assert clock.now() - start == 1000 * MS - PERIOD
-
-
-def test_a_wrong_crc_is_dropped_and_its_content_is_not_used(make_loop, link):
-    """A right CRC was seen, so that there is one; then a knee of 100 rad comes with a wrong one."""
-
-    def corrupt():
-        link.robot.q[3] = 100.0
-        link.robot.crc[()] = 12345
-
-    def mend():
-        link.robot.q[3] = 0.0
-        link.robot.seal()
-
-    link.robot.seal()
-    link.on_send = lambda i: {100: corrupt, 105: mend}.get(i, lambda: None)()
-    loop = make_loop()
-    report = loop.run()
-    assert (report.reason, report.checks.crc_errors) == ("", 5)
-    assert max(abs(sent.command.q[3]) for sent in link.sent) < 0.2
-
-
-def test_the_first_command_waits_for_the_dead_man_switch(make_loop, link, clock):
-    pressed = clock.now() + 400 * MS
-    sealed = link.robot.tobytes()
+def test_a_state_that_is_wrong_damps(make_loop, link, change, reason):
     link.robot.wireless_remote[2] = 1
-    held, receive = link.robot.tobytes(), link.receive
-
-    def receive_with_button(state):
-        link.robot.load(held if clock.now() >= pressed else sealed)
-        return receive(state)
-
-    link.receive = receive_with_button
+    link.at_send(120, lambda: change(link))
     report = make_loop(SafetyConfig(deadman="R1")).run()
-    assert report.reason == ""
-    assert link.sent[0].time >= pressed
-
-
-def test_a_dead_man_switch_that_is_released_damps(make_loop, link):
-    link.robot.wireless_remote[2] = 1
-    link.at_send(120, lambda: link.robot.wireless_remote.fill(0))
-    report = make_loop(SafetyConfig(deadman="R1")).run()
-    assert report.reason == "R1 was released on the remote (safety.deadman)"
+    assert report.reason.startswith(reason)
     assert report.commands == 121 + DAMP
     link.assert_damped()
 
@@ -242,44 +157,49 @@ def test_a_dead_man_switch_that_is_released_damps(make_loop, link):
 def test_another_publisher_may_be_allowed(make_loop, link):
     with link.contested():
         report = make_loop(allow_second_writer=True).run()
-    assert (report.commands, report.reason) == (560, "")
+    assert (report.commands, report.reason) == (RAMP + PLAY + HOLD + DAMP, "")
 
 
 @pytest.mark.parametrize(
-    ("what", "value", "reason"),
+    ("spoil", "reason"),
     [
-        ("subscriber_count", 0, "no subscriber on rt/lowcmd"),
-        ("silent", True, "no LowState received"),
-        ("waits_for", "the guard is not ready", "the guard is not ready"),
+        (lambda link: setattr(link, "subscriber_count", 0), "no subscriber on rt/lowcmd"),
+        (lambda link: setattr(link, "silent", True), "no LowState received"),
+        (lambda link: setattr(link, "waits_for", "the guard is not ready"), "the guard is not"),
+        (lambda link: link.robot.q.put(0, 100.0), "left_hip_pitch_joint is at 100.000 rad"),
     ],
 )
-def test_what_is_missing_is_named_after_the_wait(make_loop, link, clock, what, value, reason):
-    setattr(link, what, value)
+def test_what_is_missing_is_named_after_the_wait(make_loop, link, clock, spoil, reason):
+    spoil(link)
     start = clock.now()
     report = make_loop().run()
     assert report.reason.startswith(reason)
+    assert "stream.wait" in report.reason
     assert link.sent == []
     assert clock.now() - start == 1000 * MS - PERIOD
 
 
 @pytest.mark.parametrize(
-    ("field", "place", "value"),
-    [("quaternion", slice(None), 0.0), ("q", 3, np.nan), ("dq", 3, np.inf)],
+    "spoil",
+    [
+        lambda robot: (robot.quaternion.fill(0.0), robot.mode_machine.fill(0)),
+        lambda robot: robot.wireless_remote.fill(0),  # the dead man's switch
+    ],
 )
-def test_the_first_command_waits_for_a_plausible_state(make_loop, link, clock, field, place, value):
+def test_the_first_command_waits_for_the_robot(make_loop, link, clock, spoil):
     """The first LowStates of unitree_mujoco's bridges are all zeros, mode_machine included."""
-    start, standing = clock.now(), link.robot.tobytes()
-    getattr(link.robot, field)[place] = value
-    link.robot.mode_machine[()] = 0
+    link.robot.wireless_remote[2] = 1
+    start, ready = clock.now(), link.robot.tobytes()
+    spoil(link.robot)
     receive = link.receive
 
     def receive_at(state):
         if clock.now() >= start + 700 * MS:
-            link.robot.load(standing)
+            link.robot.load(ready)
         return receive(state)
 
     link.receive = receive_at
-    report = make_loop(SafetyConfig(mode_machine=(5,))).run()
+    report = make_loop(SafetyConfig(mode_machine=(5,), deadman="R1")).run()
     assert report.reason == ""
     assert link.sent[0].time == start + 700 * MS + PERIOD
     link.assert_damped()
@@ -302,17 +222,15 @@ def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(
     assert bare_link.sent[0].time == start + silent[1] + 2 * PERIOD
 
 
-@pytest.mark.parametrize("stalled", [False, True])
-def test_a_silent_robot_and_a_machine_that_stalls_are_told_apart(make_loop, link, clock, stalled):
+def test_a_machine_that_stalls_is_told_beside_a_silent_robot(make_loop, link, clock):
     def fall_silent():
         link.silent = True
-        if stalled:
-            clock.oversleeps[clock.now() + 20 * PERIOD] = 8 * PERIOD
+        clock.oversleeps[clock.now() + 20 * PERIOD] = 8 * PERIOD
 
     link.at_send(120, fall_silent)
     report = make_loop().run()
     assert "safety.state_timeout" in report.reason
-    assert ("skipped 8 ticks" in report.reason) == stalled
+    assert "skipped 8 ticks" in report.reason
     link.assert_damped()
 
 
@@ -327,33 +245,36 @@ class BrokenError(Exception):
     """Raised by the tests within the loop."""
 
 
-class Failing(Targets):
-    """Fails from 0.1 s into PLAY on."""
-
-    failed = False
-
-    def at(self, phase, elapsed, *others):
-        self.failed = self.failed or (phase is Phase.PLAY and elapsed >= 100 * MS)
-        if self.failed:
-            raise BrokenError("no target")
-        return super().at(phase, elapsed, *others)
+def assert_limp(commands):
+    for sent in commands:
+        assert int(sent.reference.phase) == Phase.DAMP
+        assert not sent.command.kp.any()
+        assert sent.command.crc_matches()
 
 
-class Invalid(Targets):
-    """Has invalid values from 0.1 s into PLAY on."""
+@pytest.fixture
+def changed(trajectory):
+    """Targets that are changed from 0.1 s into PLAY on."""
 
-    values = None
+    def make(change):
+        targets = Targets(trajectory, start=0.0)
+        at = targets.at
 
-    def at(self, phase, elapsed, *others):
-        target = super().at(phase, elapsed, *others)
-        if phase is Phase.PLAY and elapsed >= 100 * MS:
-            changed = {name: np.full(29, value) for name, value in self.values.items()}
-            target = target._replace(**changed)
-        return target
+        def changed_at(phase, elapsed, *others):
+            target = at(phase, elapsed, *others)
+            return change(target) if (phase, elapsed) >= (Phase.PLAY, 100 * MS) else target
+
+        targets.at = changed_at
+        return targets
+
+    return make
 
 
-def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, trajectory, events):
-    loop = make_loop(targets=Failing(trajectory, start=0.0))
+def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, changed, events):
+    def fail(_):
+        raise BrokenError("no target")
+
+    loop = make_loop(targets=changed(fail))
     with pytest.raises(BrokenError, match="no target"):
         loop.run()
     assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
@@ -363,49 +284,39 @@ def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, traj
     assert events()[-1] == (logging.ERROR, "PLAY -> DAMP: BrokenError: no target")
 
 
-@pytest.mark.parametrize("values", [{"q": np.nan}, {"dq": np.inf}, {"tau": np.nan}, {"dq": -1e300}])
+@pytest.mark.parametrize(("name", "value"), [("q", np.nan), ("tau", np.nan), ("dq", -1e300)])
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_invalid_values_are_never_sent(make_loop, link, trajectory, values):
-    targets = Invalid(trajectory, start=0.0)
-    targets.values = values
-    with pytest.raises(SafetyError, match=f"{next(iter(values))} = "):
+def test_invalid_values_are_never_sent(make_loop, link, changed, name, value):
+    targets = changed(lambda target: target._replace(**{name: np.full(29, value)}))
+    with pytest.raises(SafetyError, match=f"{name} = "):
         make_loop(targets=targets).run()
     assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
     link.assert_damped()
 
 
-@pytest.mark.parametrize("error", [BrokenError, KeyboardInterrupt, SystemExit, MemoryError])
-@pytest.mark.parametrize("n", [0, 120])
+@pytest.mark.parametrize(("error", "n"), [(BrokenError, 0), (KeyboardInterrupt, 120)])
 def test_an_error_of_the_wire_damps_and_is_raised_again(make_loop, link, error, n):
     def fail():
         raise error("no wire")
 
     link.at_send(n, fail)
-    loop = make_loop()
     with pytest.raises(error, match="no wire"):
-        loop.run()
+        make_loop().run()
     assert len(link.sent) == n + 1 + DAMP
-    for sent in link.sent[-DAMP:]:
-        assert int(sent.reference.phase) == Phase.DAMP
-        assert not sent.command.kp.any()
-        assert sent.command.crc_matches()
+    assert_limp(link.sent[-DAMP:])
 
 
-@pytest.mark.parametrize("transition", ["RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP"])
-@pytest.mark.usefixtures("events")
-def test_an_error_in_a_log_handler_does_not_prevent_damping(make_loop, link, transition):
-    class Handler(logging.Handler):
-        def emit(self, record):
-            if record.getMessage().startswith(transition) or "DAMP" in record.getMessage():
-                raise BrokenError(record.getMessage())
+@pytest.mark.parametrize("transition", ["PLAY -> HOLD", "HOLD -> DAMP"])
+def test_an_error_in_a_log_handler_does_not_prevent_damping(
+    make_loop, link, monkeypatch, transition
+):
+    def fail(level, text):
+        if text.startswith(transition) or "DAMP" in text:
+            raise BrokenError(text)
 
-    logger, handler = logging.getLogger("g1stream"), Handler()
-    logger.addHandler(handler)
-    try:
-        with pytest.raises(BrokenError):
-            make_loop().run()
-    finally:
-        logger.removeHandler(handler)
+    monkeypatch.setattr("g1stream.control.loop._LOGGER.log", fail)
+    with pytest.raises(BrokenError):
+        make_loop().run()
     link.assert_damped()
 
 
@@ -413,32 +324,29 @@ def test_an_error_in_damping_damps_again(make_loop, link, events):
     def fail():
         raise BrokenError("once")
 
-    link.at_send(RAMP + PLAY + HOLD + 100, fail)
+    link.at_send(RAMP + PLAY + HOLD + 50, fail)
     with pytest.raises(BrokenError, match="once"):
         make_loop().run()
-    assert link.phases()["DAMP"] == 101 + DAMP
+    assert link.phases()["DAMP"] == 51 + DAMP
     assert events()[-1] == (logging.INFO, "HOLD -> DAMP")
 
 
-@pytest.mark.parametrize("error", [BrokenError, KeyboardInterrupt])
-def test_errors_while_damping_do_not_shorten_it(make_loop, link, error, monkeypatch):
+def test_errors_while_damping_do_not_shorten_it(make_loop, link, monkeypatch):
     """The wire fails, and then thrice while the robot is damped because of it."""
     send = link.send
 
     def fail(*sample):
         sent = send(*sample)
         if len(link.sent) in (121, 122, 126, 127):
-            raise error("no wire")
+            raise KeyboardInterrupt("no wire")
         return sent
 
     monkeypatch.setattr(link, "send", fail)
     loop = make_loop()
-    with pytest.raises(error, match="no wire"):
+    with pytest.raises(KeyboardInterrupt, match="no wire"):
         loop.run()
     assert len(link.sent) == 121 + DAMP
-    for sent in link.sent[127:]:
-        assert int(sent.reference.phase) == Phase.DAMP
-        assert not sent.command.kp.any()
+    assert_limp(link.sent[127:])
     assert loop.state.phase is Phase.DONE
 
 

@@ -1,10 +1,6 @@
-"""Commands for joints whose target or start pose is outside a limit."""
-
 import numpy as np
-import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.feedforward import FeedForward
 from g1stream.control.limits import CommandLimits
 from g1stream.dds.messages import LowState
 from g1stream.types import Phase
@@ -13,48 +9,15 @@ PERIOD = 2_000_000
 MARGIN = 0.25
 
 
-class Pushing(FeedForward):
-    """Commands the same torque for every joint."""
-
-    def __init__(self, torque):
-        super().__init__("velocity", limit=np.full(29, 50.0), period=0.002)
-        self.torque = torque
-
-    def command(self, moment):
-        return super().command(moment)._replace(tau=np.full(29, self.torque))
-
-
-@pytest.mark.parametrize("torque", [2.0, -2.0])
-def test_a_held_joint_is_not_driven_into_its_limit(make_loop, link, robot, torque):
-    make_loop(SafetyConfig(position_margin=MARGIN), feedforward=Pushing(torque)).run()
-    lower, upper = robot.lower + MARGIN, robot.upper - MARGIN
-    held = 0
-    for sent in link.in_phase(Phase.PLAY):
-        q, command = sent.reference.q, sent.command
-        below, above = q < lower, q > upper
-        assert not command.dq[below | above].any()
-        assert (command.tau[below] == max(torque, 0.0)).all()
-        assert (command.tau[above] == min(torque, 0.0)).all()
-        free = ~(below | above)
-        assert command.dq[free].tolist() == sent.reference.dq[free].astype(np.float32).tolist()
-        assert (command.tau[free] == torque).all()
-        held += below.sum()
-    assert held
-
-
-@pytest.mark.parametrize("stop", ["lower", "upper"])
-def test_a_joint_that_starts_outside_a_limit_is_moved_inside_by_the_ramp(
-    make_loop, link, robot, stop
-):
+def test_a_joint_that_starts_outside_a_limit_is_moved_inside_by_the_ramp(make_loop, link, robot):
     start = np.clip(0.0, robot.lower + MARGIN, robot.upper - MARGIN)
-    start[3] = getattr(robot, stop)[3]  # the left knee
+    start[3] = robot.lower[3]  # the left knee
     link.robot.q[:] = start
     make_loop(SafetyConfig(position_margin=MARGIN)).run()
     knee = np.array([sent.command.q[3] for sent in link.sent])
     assert knee[0] == link.robot.q[3]
     # Minimum jerk is at most 1.875 times as fast as an even move; the motion adds its 0.4 rad/s.
-    way = abs(robot.lower[3] + MARGIN - start[3]) if stop == "lower" else abs(start[3]) + 0.1
-    assert np.abs(np.diff(knee[:300])).max() < (1.875 * way / 0.1 + 0.4) * PERIOD / 1e9
+    assert np.abs(np.diff(knee[:300])).max() < (1.875 * MARGIN / 0.1 + 0.4) * PERIOD / 1e9
     played = np.array([sent.command.q[3] for sent in link.in_phase(Phase.PLAY)])
     assert (played >= np.float32(robot.lower[3] + MARGIN)).all()
 

@@ -1,5 +1,3 @@
-"""What ends a session because of the robot, each threshold just on and just beyond it."""
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -28,7 +26,7 @@ class Watched:
         self.measuring = True
 
     def after(self, seconds, motion=lambda t: None):
-        """The stop_reason of a time with what is set now, and how long it took, s."""
+        """The stop_reason after some time, and how long it took, s."""
         step = self.period / 1e9
         for i in range(round(seconds / step)):
             self.now += self.period
@@ -46,20 +44,11 @@ def make(robot):
     return lambda **settings: Watched(robot, **settings)
 
 
-def tilted_by(angle, yaw=0.7):
-    """A body that has turned about the vertical and leans by `angle`; quaternion wxyz."""
-    x, y, z, w = (Rotation.from_euler("z", yaw) * Rotation.from_rotvec([0, angle, 0])).as_quat()
-    return np.array([w, x, y, z])
-
-
-def test_all_is_well(make):
-    assert make().after(3.0) == ("", 3.0)
-
-
 @pytest.mark.parametrize(("angle", "stops"), [(0.799, False), (0.801, True)])
 def test_tilt(make, angle, stops):
     it = make(max_tilt=0.8)
-    it.state.quaternion[:] = tilted_by(angle)
+    turned = Rotation.from_euler("z", 0.7) * Rotation.from_rotvec([0, angle, 0])
+    it.state.quaternion[:] = np.roll(turned.as_quat(), 1)
     reason, passed = it.after(0.1)
     assert ("safety.max_tilt = 0.8 rad" in reason) == stops
     assert not stops or passed == 0.002
@@ -75,8 +64,9 @@ def test_joint_speed(make, speed, stops):
     assert not stops or passed == 0.002
 
 
-@pytest.mark.parametrize(("part", "name"), [(0, "casing"), (1, "winding")])
-@pytest.mark.parametrize("commanded", [True, False])
+@pytest.mark.parametrize(
+    ("part", "name", "commanded"), [(0, "casing", True), (1, "winding", False)]
+)
 def test_temperature(make, part, name, commanded):
     it = make(**{f"max_{name}_temperature": 70.0})
     it.target = it.target if commanded else None
@@ -117,22 +107,17 @@ def test_a_motor_that_is_off(make):
     reason, passed = it.after(1.0)
     assert "left_knee_joint is off (mode 0)" in reason
     assert passed == pytest.approx(0.1, abs=0.042)
-
-
-def test_all_motors_off(make):
-    it = make(motor_fault_time=0.1)
-    it.state.motor_mode = 1
-    it.after(0.1)
     it.state.motor_mode = 0
     assert "one of 29" in it.after(1.0)[0]
 
 
-def test_a_motor_that_reports_a_fault(make):
-    it = make(motor_fault_time=0.1)
+@pytest.mark.parametrize("period", [2 * MS, 20 * MS])
+def test_a_motor_that_reports_a_fault_as_long_at_every_rate(make, period):
+    it = make(period=period, motor_fault_time=0.5)
     it.state.motorstate[KNEE] = 0x201
     reason, passed = it.after(1.0)
     assert "left_knee_joint reports motorstate 0x201: overcurrent, winding overheating" in reason
-    assert passed == pytest.approx(0.1, abs=0.042)
+    assert passed == pytest.approx(0.5, abs=0.042)
 
 
 def test_a_fault_that_is_masked_or_short_does_not_stop(make):
@@ -160,19 +145,18 @@ def test_tracking_error_is_averaged(make):
     """A constant error e passes the limit after -T ln(1 - limit / e)."""
     it = make(max_tracking_error=0.3, tracking_time=1.0)
     it.target[KNEE] = 0.29
-    assert it.after(10.0)[0] == ""
+    assert it.after(4.0)[0] == ""
     it = make(max_tracking_error=0.3, tracking_time=1.0)
     it.target[KNEE] = 0.6
-    reason, passed = it.after(10.0)
+    reason, passed = it.after(3.0)
     assert reason.startswith("left_knee_joint is 0.60 rad from its target")
     assert passed == pytest.approx(np.log(2), abs=0.05)
 
 
-@pytest.mark.parametrize(("side", "beyond"), [("upper", 1), ("lower", -1)])
-def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot, side, beyond):
+def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot):
     it = make(max_tracking_error=0.3)
-    it.target[KNEE] = 100.0 * beyond
-    it.state.q[KNEE] = getattr(robot, side)[KNEE]
+    it.target[KNEE], it.target[5] = 100.0, -100.0
+    it.state.q[KNEE], it.state.q[5] = robot.upper[KNEE], robot.lower[5]
     assert it.after(3.0)[0] == ""
 
 
@@ -195,15 +179,18 @@ def test_time_without_new_measurements_does_not_count(make):
     assert it.after(10.0, seldom)[1] == pytest.approx(4 * np.log(2), rel=0.1)
 
 
-@pytest.mark.parametrize(("share", "stops"), [(0.0, True), (0.09, True), (0.11, False)])
-def test_a_jam(make, share, stops):
+@pytest.mark.parametrize(
+    ("amplitude", "share", "stops"),
+    [(0.3, 0.0, True), (0.3, 0.09, True), (0.3, 0.11, False), (0.24, 0.0, False)],
+)
+def test_a_jam(make, amplitude, share, stops):
     it = make(jam_time=1.0, jam_motion=0.5, max_tracking_error=6.0)
 
     def swing(t):
-        it.target[KNEE] = 0.6 + 0.3 * np.sin(4 * t)
-        it.state.q[KNEE] = 0.6 + share * 0.3 * np.sin(4 * t)
+        it.target[KNEE] = 0.6 + amplitude * np.sin(4 * t)
+        it.state.q[KNEE] = 0.6 + share * amplitude * np.sin(4 * t)
 
-    reason, passed = it.after(4.0, swing)
+    reason, passed = it.after(3.0, swing)
     assert reason.startswith("left_knee_joint does not follow") == stops
     assert not stops or passed == pytest.approx(1.0, abs=0.15)
 
@@ -218,21 +205,3 @@ def test_a_robot_that_never_moves_does_not_play_the_demo(make):
     reason, passed = it.after(motion.duration, play)
     assert reason
     assert passed < motion.duration / 2
-
-
-def test_a_joint_that_is_to_move_little_is_not_jammed(make):
-    it = make(jam_time=1.0, jam_motion=0.5)
-
-    def swing(t):
-        it.target[KNEE] = 0.24 * np.sin(4 * t)
-
-    assert it.after(4.0, swing)[0] == ""
-
-
-@pytest.mark.parametrize("period", [2 * MS, 20 * MS])
-def test_a_limit_of_time_is_the_same_at_every_rate(make, period):
-    it = make(period=period, motor_fault_time=0.5)
-    it.state.motorstate[KNEE] = 0x400
-    reason, seconds = it.after(3.0)
-    assert "left_knee_joint" in reason
-    assert seconds == pytest.approx(0.5, abs=0.05)

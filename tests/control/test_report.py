@@ -1,5 +1,3 @@
-"""Percentiles of the lateness histogram against the raw values, and the rate of a run."""
-
 import math
 from fractions import Fraction
 
@@ -16,42 +14,32 @@ def lateness_of(values):
     return lateness
 
 
-@pytest.mark.parametrize("percent", [0, 1, 50, 90, 99, 99.9, 100])
-@pytest.mark.parametrize("n", [1, 2, 10, 999, 1000, 5000])
-def test_percentiles_are_those_of_the_raw_values(n, percent):
-    values = np.random.default_rng(n).gamma(2.0, 60_000.0, n).astype(int)
-    rank = max(1, math.ceil(n * Fraction(str(percent)) / 100))
-    truth = np.partition(values, rank - 1)[rank - 1] / 1000.0
-    assert truth <= lateness_of(values).percentile_us(percent) <= truth + 1.0
+@pytest.mark.parametrize("n", [1, 10, 999, 1000])
+def test_percentiles_are_those_of_the_raw_values(n):
+    values = np.sort(np.random.default_rng(n).gamma(2.0, 60_000.0, n).astype(int))
+    lateness = lateness_of(values)
+    for percent in (0, 1, 50, 90, 99, 99.9, 100):
+        rank = max(1, math.ceil(n * Fraction(str(percent)) / 100))
+        truth = values[rank - 1] / 1000.0
+        assert truth <= lateness.percentile_us(percent) <= truth + 1.0
 
 
-def test_percentiles_beyond_the_histogram_are_the_maximum():
-    lateness = lateness_of([1_000] * 90 + [5_000_000_000] * 10)
-    assert lateness.percentile_us(90) == 2.0
-    assert lateness.percentile_us(99) == 5_000_000.0
-
-
-def test_last_bin_and_the_one_before_it():
-    assert lateness_of([19_999_999, 30_000_000]).percentile_us(50) == 20_000.0
-    assert lateness_of([20_000_000, 30_000_000]).percentile_us(50) == 30_000.0
-
-
-def test_a_percentile_never_exceeds_the_maximum():
-    assert lateness_of([1_500]).percentile_us(50) == 1.5
+@pytest.mark.parametrize(
+    ("values", "percent", "expected"),
+    [
+        ([1_000] * 90 + [5_000_000_000] * 10, 90, 2.0),
+        ([1_000] * 90 + [5_000_000_000] * 10, 99, 5_000_000.0),
+        ([19_999_999, 30_000_000], 50, 20_000.0),
+        ([20_000_000, 30_000_000], 50, 30_000.0),  # the last bin
+        ([1_500], 50, 1.5),  # never beyond the maximum
+    ],
+)
+def test_percentiles_at_the_edges(values, percent, expected):
+    assert lateness_of(values).percentile_us(percent) == expected
 
 
 def test_no_ticks_no_percentile():
     assert np.isnan(Lateness().percentile_us(50))
-
-
-def test_histogram_does_not_grow():
-    lateness = Lateness()
-    size = lateness.counts.nbytes
-    for value in range(0, 10**11, 10**8):
-        lateness.add(value)
-    assert lateness.counts.nbytes == size
-    assert lateness.n == lateness.counts.sum() == 1000
-    assert lateness.maximum_ns == 99_900_000_000
 
 
 def test_sparse_holds_what_was_counted():
@@ -59,8 +47,7 @@ def test_sparse_holds_what_was_counted():
     assert lateness.sparse() == {0: 2, 1: 1, 7: 2, 20000: 1}
 
 
-def test_a_report_of_fewer_than_two_commands_has_no_rate():
+def test_a_report_of_one_command_has_no_rate():
     report = LoopReport(2_000_000, *[None] * 4)
-    assert report.rate is None
     report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
     assert report.rate is None

@@ -1,7 +1,3 @@
-"""The table of sources, and what a source of its own targets and gains gets out of the loop."""
-
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from types import ModuleType
@@ -24,44 +20,31 @@ GAINS = Gains(np.full(29, 7.0), np.full(29, 0.5))
 
 
 class Policy(Source):
-    """Targets of its own at 50 Hz: 0.01 rad above those that it is given."""
+    """Targets of its own at 50 Hz, 0.01 rad above those that it is given. It tells each tick."""
 
-    gains = GAINS
+    gains, tells = GAINS, POLICY
 
     def __init__(self, config, robot, *, simulated, complete):
         assert (config.stream.support, simulated, complete) == ("feet", True, True)
-        self.computed, self._until, self._q = [], 0, None
-        self.seen = []
+        self.computed, self.seen, self.ticks = [], [], []
+        self._until, self._q, self._told = 0, None, b""
 
     def change(self, motion):
-        if motion.n_frames > 100:
-            raise MotionError("It is too long.", "Trim it.")
+        if motion.fps > 50.0:
+            raise MotionError("It is too fast.", "Slow it.")
         return replace(motion, name="changed"), "as the policy knows it"
 
     def observe(self, phase, measured, scale):
         self.seen.append((phase, measured.received))
 
     def command(self, moment):
+        self._told = moment.tick.to_bytes(4, "little")
+        self.ticks.append(moment.tick)
         if moment.measured.received >= self._until:
             self._until = moment.measured.received + 20_000_000
             self._q = moment.target.q + 0.01
             self.computed.append(moment.phase)
         return moment.target._replace(q=self._q, dq=np.zeros(29))
-
-
-class Telling(Policy):
-    """It tells the tick of each command."""
-
-    tells = POLICY
-
-    def __init__(self, *about, **more):
-        super().__init__(*about, **more)
-        self.ticks, self._told = [], b""
-
-    def command(self, moment):
-        self._told = moment.tick.to_bytes(4, "little")
-        self.ticks.append(moment.tick)
-        return super().command(moment)
 
     def told(self):
         told, self._told = self._told, b""
@@ -69,9 +52,9 @@ class Telling(Policy):
 
 
 @pytest.fixture
-def policy(monkeypatch, request):
+def policy(monkeypatch):
     module = ModuleType("g1stream.extras.made")
-    module.Policy = getattr(request, "param", Policy)
+    module.Policy = Policy
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.made:Policy")
 
@@ -94,42 +77,14 @@ def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion,
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
 
 
-def told_by(link):
-    """The ticks of what was told, each beside the tick of the command with its publish time."""
-    ticks = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
-    assert {topic for topic, _, _ in link.told} == {POLICY}
-    return [(int.from_bytes(data, "little"), ticks.get(stamp)) for _, data, stamp in link.told]
-
-
-@pytest.mark.parametrize("policy", [Telling], indirect=True)
 @pytest.mark.usefixtures("policy")
-def test_what_a_source_tells_is_published_with_the_command_that_it_is_of(link, clock, motion):
-    planned = plan(motion, CONFIG)
-    make_loop(planned, link, clock).run()
-    told = told_by(link)
-    assert [tick for tick, _ in told] == planned.source.ticks
-    assert all(tick == beside for tick, beside in told)
-    assert planned.source.ticks == list(range(len(told)))
-
-
-@pytest.mark.parametrize("policy", [Telling], indirect=True)
-@pytest.mark.usefixtures("policy")
-def test_what_is_told_of_a_command_that_is_replaced_comes_with_the_next_one(link, clock, motion):
-    planned = plan(motion, CONFIG)
-    for n in range(20, 240, 7):  # these ticks are skipped
-        clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
-    report = make_loop(planned, link, clock, settle=0).run()
-    assert report.skipped == 32
-    told = told_by(link)
-    assert [tick for tick, _ in told] == planned.source.ticks
-    assert len({*planned.source.ticks}) == len(told) - 32
-    assert all(tick == beside for tick, beside in told)
-
-
-@pytest.mark.parametrize("policy", [Telling], indirect=True)
-@pytest.mark.usefixtures("policy")
-def test_nothing_is_told_of_a_command_that_could_not_be_written(link, clock, motion, monkeypatch):
+def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
+    link, clock, motion, monkeypatch
+):
+    """32 ticks are skipped, and two commands cannot be written."""
     planned, send, refused = plan(motion, CONFIG), link.send, []
+    for n in range(20, 240, 7):
+        clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
 
     def refusing(command, reference, stamp):
         if len(link.sent) in (100, 150) and len(link.sent) not in refused:
@@ -138,23 +93,20 @@ def test_nothing_is_told_of_a_command_that_could_not_be_written(link, clock, mot
         return send(command, reference, stamp)
 
     monkeypatch.setattr(link, "send", refusing)
-    make_loop(planned, link, clock).run()
-    told = told_by(link)
-    assert refused == [100, 150]
-    assert [tick for tick, _ in told] == planned.source.ticks
-    assert None not in [beside for _, beside in told]
+    report = make_loop(planned, link, clock, settle=0).run()
+    assert (report.skipped, refused) == (32, [100, 150])
+    beside = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
+    ticks = [int.from_bytes(data, "little") for _, data, _ in link.told]
+    assert ticks == planned.source.ticks
+    assert ticks == [beside.get(stamp) for _, _, stamp in link.told]
+    assert len({*ticks}) == len(ticks) - 32 - 2
+    assert {topic for topic, _, _ in link.told} == {POLICY}
 
 
 @pytest.mark.usefixtures("policy")
 def test_a_source_refuses_a_motion_before_anything_is_sent(motion):
-    long = replace(
-        motion,
-        joint_pos=np.tile(motion.joint_pos, (5, 1)),
-        root_pos=np.tile(motion.root_pos, (5, 1)),
-        root_quat_wxyz=np.tile(motion.root_quat_wxyz, (5, 1)),
-    )
-    with pytest.raises(MotionError, match="too long"):
-        plan(long, CONFIG)
+    with pytest.raises(MotionError, match="too fast"):
+        plan(replace(motion, fps=100.0), CONFIG)
 
 
 def test_a_source_that_is_not_installed_is_named_with_its_extra(monkeypatch, motion):

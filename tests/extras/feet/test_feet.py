@@ -225,7 +225,7 @@ def test_the_legs_play_as_a_whole_or_not_at_all():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("push", "stands"),
-    [((75.0, 0.0), True), ((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
+    [((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
 )
 def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stands):
     """For 0.1 s, at the torso; with 170 N to the left the pelvis goes aside by some 15 cm."""

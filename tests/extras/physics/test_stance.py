@@ -1,7 +1,3 @@
-"""A motion with planted feet: against kinematics, dynamics and the limits of the soles."""
-
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -39,16 +35,20 @@ def squat():
     return squatting(4.0)
 
 
-def test_the_feet_stand_still_and_flat_on_the_floor(squat):
-    corners = corners_of(stand(squat, ROBOT).motion)
+@pytest.fixture(scope="module")
+def standing(squat):
+    return stand(squat, ROBOT)
+
+
+def test_the_feet_stand_still_and_flat_on_the_floor(squat, standing):
+    corners = corners_of(standing.motion)
     assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
     assert corners[..., 2].min() == pytest.approx(0.0, abs=1e-5)
     assert corners[..., 2].max() == pytest.approx(0.0, abs=1e-3)  # a corner is 0.7 mm higher
     assert touching(corners, squat.fps)[0].all()
 
 
-def test_only_the_legs_are_changed_and_little(squat):
-    standing = stand(squat, ROBOT)
+def test_only_the_legs_are_changed_and_little(squat, standing):
     change = np.abs(standing.motion.joint_pos - squat.joint_pos)
     assert change[:, 12:].max() == 0.0
     assert np.degrees(change.max()) == pytest.approx(standing.joint_deg)
@@ -58,10 +58,9 @@ def test_only_the_legs_are_changed_and_little(squat):
     assert np.array_equal(standing.motion.root_quat_wxyz, squat.root_quat_wxyz)
 
 
-def test_a_motion_that_stands_is_played_as_it_is(squat):
-    standing = stand(stand(squat, ROBOT).motion, ROBOT)
-    assert not str(standing)
-    assert not re.search(r"\b0 mm", str(stand(squat, ROBOT)))
+def test_a_motion_that_stands_is_played_as_it_is(standing):
+    assert not str(stand(standing.motion, ROBOT))
+    assert not re.search(r"\b0 mm", str(standing))
 
 
 def test_stretched_legs_are_bent():
@@ -110,10 +109,8 @@ def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
         stand(replace(in_air, root_pos=in_air.root_pos - [0.0, 0.0, 1.0] * lowest), ROBOT)
 
 
-def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood():
-    demo = load_motion("demo")
-    motion = stand(demo, ROBOT).motion
-    feet = corners_of(motion).reshape(-1, 2, 4, 3)
+def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood(standing_demo):
+    feet = corners_of(standing_demo.motion).reshape(-1, 2, 4, 3)
     up = feet[..., 2].min(axis=2) > OFF_FLOOR
     assert not up.all(axis=1).any()
     assert [np.count_nonzero(np.diff(one.astype(int)) == 1) for one in up.T] == [2, 2]
@@ -151,9 +148,7 @@ def test_a_foot_that_steps_stands_where_the_motion_puts_it():
 
 
 def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
-    with pytest.raises(
-        MotionError, match=r"both feet are lifted within 0\.1 s in frames \d+ to \d+"
-    ):
+    with pytest.raises(MotionError, match=r"both feet are lifted .* in frames \d+ to \d+"):
         stand(stepping(STEPS, period=0.3, swing=0.4), ROBOT)
 
 
@@ -179,11 +174,8 @@ def test_arms_play_on_legs_that_stand(squat):
 
 
 def test_a_motion_that_ends_on_one_foot_is_refused():
-    demo = load_motion("demo")
-    with pytest.raises(
-        MotionError, match=r"lifted at the beginning or the end, in frames 57 to 62\."
-    ):
-        stand(demo.frames(200, 263), ROBOT)
+    with pytest.raises(MotionError, match=r"lifted at .* in frames 57 to 62\."):
+        stand(load_motion("demo").frames(200, 263), ROBOT)
 
 
 def test_an_error_has_all_frames_that_forbid_a_motion(squat):
@@ -230,9 +222,9 @@ def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
         stand(jumping(jump), ROBOT)
 
 
-def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame():
+def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame(standing_demo):
     """Also in frames that the last attempts left as they were: MuJoCo computes all of them."""
-    motion = stand(load_motion("demo"), ROBOT).motion
+    motion = standing_demo.motion
     dynamics, trajectory = InverseDynamics(ROBOT), Trajectory(motion)
     wrench = np.empty((motion.n_frames, 6))
     for k in range(motion.n_frames):

@@ -1,5 +1,6 @@
 import pytest
 
+from g1stream.config import load_config
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
@@ -23,3 +24,9 @@ __all__ = [
 def standing_demo():
     """The right foot stands at 7.5 s, is lifted at 8.6 s for 0.4 s, and is up by 9 cm at 8.67 s."""
     return stand(load_motion("demo"), G1.default())
+
+
+@pytest.fixture(scope="session")
+def short():
+    """Settings of a rollout with little but PLAY."""
+    return load_config(over={"stream.ramp": 0.5, "stream.hold": 0.1, "stream.damp": 0.5})

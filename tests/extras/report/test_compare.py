@@ -1,5 +1,3 @@
-"""Sessions beside others: noise and change told apart, and what is refused."""
-
 import re
 
 import numpy as np
@@ -9,7 +7,6 @@ from scipy.stats import ttest_ind
 import g1stream
 from g1stream.app.session import Session
 from g1stream.cli.main import main
-from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.extras.report.compare import differences, ranked, verdict
 from g1stream.session.source import MemorySource
@@ -112,10 +109,9 @@ def test_another_motion_is_refused(monkeypatch):
 
 
 @pytest.mark.slow
-def test_only_joints_that_play_in_all_sessions_count():
-    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+def test_only_joints_that_play_in_all_sessions_count(short):
     left, arms, right = (
-        g1stream.rollout("demo", joints=joints, seconds=0.5, config=config)
+        g1stream.rollout("demo", joints=joints, seconds=0.3, config=short)
         for joints in ("left_arm", "arms", "right_arm")
     )
     found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]

@@ -1,7 +1,5 @@
 """What ROS 2 is given on DDS, decoded by rosbags, which knows ROS and nothing of ours."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from io import StringIO
@@ -16,6 +14,7 @@ from cyclonedds.idl.types import float64, int32, sequence, uint32
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 from yourdfpy import URDF
 
 from g1stream.app.record import record
@@ -146,19 +145,8 @@ class Robot:
             writer.write(message.tobytes(), T0 + self._tick * STEP)
 
 
-def make_config(domain_id, **tables):
-    return Config.model_validate({"dds": {"domain": domain_id, "ros_tf": True}, **tables})
-
-
-@pytest.fixture
-def participant(domain_id):
-    with Participant(domain_id, "lo") as participant:
-        yield participant
-
-
-@pytest.fixture
-def ros(participant):
-    return Ros(participant)
+def make_config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id, "ros_tf": True}})
 
 
 @pytest.fixture(scope="module")
@@ -193,14 +181,9 @@ def poses(message):
     found = {}
     for one in message.transforms:
         t, q = one.transform.translation, one.transform.rotation
-        x, y, z, w = q.x, q.y, q.z, q.w
         matrix = np.eye(4)
         matrix[:3, 3] = t.x, t.y, t.z
-        matrix[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         stamp = one.header.stamp
         time = stamp.sec * 10**9 + stamp.nanosec
         found[one.child_frame_id] = one.header.frame_id, matrix, time
@@ -311,8 +294,10 @@ def test_nothing_is_published_unless_asked(domain_id):
         assert children() == before
 
 
-def test_sim_and_record_publish(domain_id, ros, tmp_path, until):
+def test_sim_and_record_publish(domain_id, tmp_path, until):
     config = make_config(domain_id)
-    simulate(config, should_stop=ros.publications)
-    until(lambda: not ros.publications(), "the end of the publisher")
-    record(tmp_path / "session.mcap", config, should_stop=ros.publications)
+    with Participant(domain_id, "lo") as participant:
+        ros = Ros(participant)
+        simulate(config, should_stop=ros.publications)
+        until(lambda: not ros.publications(), "the end of the publisher")
+        record(tmp_path / "session.mcap", config, should_stop=ros.publications)

@@ -1,7 +1,3 @@
-"""The scripts complete in real shells, and know every command and flag."""
-
-from __future__ import annotations
-
 import shutil
 import subprocess
 

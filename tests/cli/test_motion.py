@@ -72,8 +72,16 @@ def test_a_session(run, tmp_path):
     assert report["fastest"]["value"] == 0.0
 
 
-@pytest.mark.parametrize("content", [None, b"", b"\x89PNG\r\n\x1a\n", b"\x89MCAP0\r\nnothing"])
-@pytest.mark.parametrize("name", ["clip.csv", "clip.mcap"])
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        *(
+            ("clip.csv", content)
+            for content in (b"", b"\x89PNG\r\n\x1a\n", b"\x89MCAP0\r\nnothing")
+        ),
+        *(("clip.mcap", content) for content in (b"", None)),
+    ],
+)
 def test_what_cannot_be_read_is_bad_input(run, tmp_path, name, content):
     path = tmp_path / name
     if content is not None:

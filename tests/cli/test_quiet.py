@@ -1,7 +1,3 @@
-"""With --quiet only warnings, errors and what --json asks for are printed."""
-
-from __future__ import annotations
-
 import json
 import logging
 import os

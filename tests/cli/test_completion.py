@@ -77,16 +77,6 @@ def test_the_syntax_is_right(scripts, shell):
     subprocess.run([shell, "-n", scripts / shell], check=True)
 
 
-def test_the_script_and_the_help_name_the_same_directory(scripts, capsys):
-    with pytest.raises(SystemExit):
-        main(["completion", "--help"])
-    path = "~/.local/share/bash-completion/completions/g1stream"
-    assert path in capsys.readouterr().out
-    named = [word for word in (scripts / "bash").read_text().split() if "/share/" in word]
-    assert named
-    assert all(path in word for word in named)
-
-
 def test_fish_completes(scripts, tmp_path):
     if not shutil.which("fish"):
         pytest.skip("fish is not installed")

@@ -39,6 +39,12 @@ def test_every_change_is_made_and_named(name, demo):
     assert motion.content_sha256 == expected.content_sha256
 
 
+def test_without_flags_a_motion_is_as_it_is_in_the_file(demo):
+    motion = parsed("stream", "demo").load(["demo"])
+    assert motion.operations == ()
+    assert motion.content_sha256 == demo.content_sha256
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -76,7 +82,6 @@ def test_what_was_done_is_in_the_metadata(tmp_path, demo):
 @pytest.mark.parametrize(
     ("flags", "start", "end"),
     [
-        ((), 0, None),
         (("--start", "2"), 2, None),
         (("--duration", "3"), 0, 3),
         (("--start", "1", "--duration", "4", "--speed", "2", "--repeat", "2"), 1, 5),

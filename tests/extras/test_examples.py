@@ -11,18 +11,13 @@ import g1stream
 from g1stream.app.rollout import rollout
 from g1stream.app.session import open_session
 from g1stream.child_process import Child
-from g1stream.config import Config, load_config
-from g1stream.dds.messages import Batch
+from g1stream.config import Config
 from g1stream.motion.readers import load_motion
-from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import read_visuals
-from g1stream.session.source import MemorySource
-from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
-from g1stream.view.pipeline import MessagePipeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -60,11 +55,10 @@ def test_one_streams_a_motion_while_the_other_records_it(domain_id, tmp_path):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
+def run(monkeypatch, capsys, short):
     """Run an example, whose rollouts are short, and return what it prints."""
-    over = {"stream.ramp": 0.5, "stream.hold": 0.1, "stream.damp": 0.5}
-    short = {"config": load_config(over=over), "seconds": 0.5}
-    monkeypatch.setattr(g1stream, "rollout", lambda *args, **how: rollout(*args, **how | short))
+    less = {"config": short, "seconds": 0.5}
+    monkeypatch.setattr(g1stream, "rollout", lambda *args, **how: rollout(*args, **how | less))
 
     def run_example(name, *arguments):
         path = str(EXAMPLES / name)
@@ -119,28 +113,13 @@ def test_steps_are_made_and_played(run, tmp_path):
     assert load_motion(tmp_path / "steps.npz").duration == pytest.approx(6.4)
 
 
-def write_standard(path: Path) -> Path:
-    """A session with the channels that viewers show, of a robot that is 40 ms late."""
-    source, pipeline = MemorySource(), MessagePipeline(G1.default())
-    SyntheticSession(1.0, delay=0.04).write(source)
-    batches = {}
-    for topic, messages in source.batches(set(STREAMS)):
-        payloads = list(map(bytes, messages.data))
-        times = messages.log_times.tolist(), messages.publish_times.tolist()
-        batches[STREAMS[topic].source.name] = Batch(payloads, *times)
-    with SessionWriter(path) as writer:
-        made = [*raw_messages(batches), *pipeline.encode(batches)]
-        for one in [*pipeline.file_header(int(made[0].log_times[0])), *made]:
-            writer.write_batch(one.topic, one.payloads, one.log_times, one.publish_times)
-    return path
-
-
 @pytest.mark.slow
-def test_a_session_is_shown_in_rerun(tmp_path):
+def test_a_session_is_shown_in_rerun(short, tmp_path):
     pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
     from rerun.chunk import RrdReader
 
-    path, out = write_standard(tmp_path / "session.mcap"), tmp_path / "session.rrd"
+    path, out = tmp_path / "session.mcap", tmp_path / "session.rrd"
+    rollout("demo", seconds=0.3, config=short).save(path)
     subprocess.run([sys.executable, EXAMPLES / "rerun_session.py", path, "-o", out], check=True)
     reader = RrdReader(out)
     found = defaultdict(lambda: defaultdict(list))  # by entity, the values of each column

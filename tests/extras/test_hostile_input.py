@@ -9,13 +9,12 @@ import json
 import os
 import pickle
 import resource
-import sqlite3
 import struct
 import subprocess
 import sys
 import zipfile
 import zlib
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,6 +24,9 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
 
 from g1stream.app.convert import convert
 from g1stream.app.session import open_session
@@ -136,24 +138,20 @@ def array_files():
 def bags():
     """Joint states and a transform in SQLite, and as `convert` writes them."""
     motion = load_motion("demo").frames(0, 4)
+    types = {"/joint_states": "sensor_msgs/msg/JointState", "/tf": "tf2_msgs/msg/TFMessage"}
+    pose = tf_message([FramePose(0, "world", "pelvis", (0, 0, 0), (1, 0, 0, 0))])
     with TemporaryDirectory() as directory:
-        path = Path(directory) / "bag.db3"
-        with closing(sqlite3.connect(path)) as database:
-            database.executescript(
-                "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT);"
-                "CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        bag, converted = Path(directory) / "bag", Path(directory) / "motion.mcap"
+        with BagWriter(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            store = get_typestore(Stores.ROS2_HUMBLE)
+            joints, frames = (
+                writer.add_connection(name, kind, typestore=store) for name, kind in types.items()
             )
-            types = ("joint_states", "sensor_msgs/msg/JointState"), ("tf", "tf2_msgs/msg/TFMessage")
-            rows = [(i, f"/{name}", kind, "cdr") for i, (name, kind) in enumerate(types)]
-            database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
-            pose = tf_message([FramePose(0, "world", "pelvis", (0, 0, 0), (1, 0, 0, 0))])
             for i, row in enumerate(motion.joint_pos.tolist()):
-                state = joint_state(i * 10**8, JOINT_NAMES, row, [], [])
-                both = [(2 * i + k, k, i * 10**8, one) for k, one in enumerate((state, pose))]
-                database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", both)
-            database.commit()
-        convert(motion, converted := Path(directory) / "motion.mcap")
-        return path.read_bytes(), converted.read_bytes()
+                writer.write(joints, i * 10**8, joint_state(i * 10**8, JOINT_NAMES, row, [], []))
+                writer.write(frames, i * 10**8, pose)
+        convert(motion, converted)
+        return (bag / "bag.db3").read_bytes(), converted.read_bytes()
 
 
 ARRAYS = array_files()

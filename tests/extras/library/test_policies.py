@@ -57,13 +57,10 @@ def test_a_policy_is_another_one_when_a_file_of_it_changes(file, changed):
     assert after.fingerprint != known[2]
 
 
-def test_a_policy_is_the_same_elsewhere(file):
+def test_a_policy_is_the_same_elsewhere(file, tmp_path):
     first, second = case(file("a/walk.onnx")), case(file("b/walk.onnx"))
     assert first.fingerprint == second.fingerprint
     assert first.fingerprint != case(file("a/walk.onnx"), **{"sim.push": 0.5}).fingerprint
-
-
-def test_a_policy_that_cannot_be_read(tmp_path):
     with pytest.raises(ConfigError):
         case(tmp_path / "none.onnx").variant  # noqa: B018
 

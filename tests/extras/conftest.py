@@ -1,3 +1,6 @@
+import shutil
+import subprocess
+
 import pytest
 
 from g1stream.config import load_config
@@ -30,3 +33,21 @@ def standing_demo():
 def short():
     """Settings of a rollout with little but PLAY."""
     return load_config(over={"stream.ramp": 0.5, "stream.hold": 0.1, "stream.damp": 0.5})
+
+
+@pytest.fixture
+def chromium(tmp_path):
+    """Run a browser without a screen."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if not browser:
+        pytest.skip("chromium is not installed")
+
+    def run(*arguments):
+        profile = f"--user-data-dir={tmp_path / 'profile'}"
+        quiet = "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", profile
+        command = [browser, *quiet, "--virtual-time-budget=20000", *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=True)
+        assert "CONSOLE" not in done.stderr
+        return done.stdout
+
+    return run

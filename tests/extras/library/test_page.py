@@ -1,7 +1,5 @@
 import json
 import re
-import shutil
-import subprocess
 from html import unescape
 from pathlib import Path
 
@@ -9,8 +7,6 @@ import pytest
 
 from g1stream.extras.library.page import write_page
 from g1stream.extras.library.table import MotionRow, Rows, writing
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 #: Sorts, filters and asks the page for what a reader sees.
 PROBE = """<script>
@@ -106,22 +102,11 @@ def test_it_needs_no_network(library):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-def test_it_sorts_and_filters_in_a_browser(library, tmp_path):
+def test_it_sorts_and_filters_in_a_browser(library, chromium):
     page = write_page(library)
     page.write_text(page.read_text().replace("</body>", PROBE))
-    done = subprocess.run(
-        [
-            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"),
-            *(f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=170,
-        check=True,
-    )
-    assert "CONSOLE" not in done.stderr
-    seen = json.loads(unescape(re.search(r'<pre id="seen">(.+)</pre>', done.stdout)[1]))
+    shown = chromium("--dump-dom", page.as_uri())
+    seen = json.loads(unescape(re.search(r'<pre id="seen">(.+)</pre>', shown)[1]))
     assert seen["heads"][:4] == ["picture", "name", "status", "bolted"]
     assert seen["reasons"] == ["</script><script>alert(1)</script>"]
     assert seen["tooltips"] == ["gone.csv", "wave.csv", "stand <b>&amp;.csv"]

@@ -89,13 +89,6 @@ def test_the_mass_is_kept_over_the_soles():
     assert beyond_support(centre[np.newaxis, :2], corners, np.ones((1, 8), bool)) < -0.015
 
 
-def test_a_hop_is_refused_with_its_frames(squat):
-    root = squat.root_pos.copy()
-    root[50:60, 2] += 0.2
-    with pytest.raises(MotionError, match="no foot is on the floor in frames 50 to 59"):
-        stand(Motion.from_arrays(squat.joint_pos, root, fps=squat.fps), ROBOT)
-
-
 def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
     time = np.arange(200) / 50.0
     bend = 0.9 - 0.7 * np.cos(6.0 * np.pi * time)
@@ -147,17 +140,6 @@ def test_a_foot_that_steps_stands_where_the_motion_puts_it():
         assert np.ptp(stood, axis=0) == pytest.approx(np.zeros(3), abs=1e-4)
 
 
-def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
-    with pytest.raises(MotionError, match=r"both feet are lifted .* in frames \d+ to \d+"):
-        stand(stepping(STEPS, period=0.3, swing=0.4), ROBOT)
-
-
-def test_a_step_too_long_for_the_mass_is_refused_with_its_frames():
-    far = [(0.3, 0.0, 0.0), (0.3, 0.0, 0.0)]
-    with pytest.raises(MotionError, match=r"centre of pressure cannot be kept .* in frames? \d+"):
-        stand(stepping(far), ROBOT)
-
-
 def test_arms_play_on_legs_that_stand(squat):
     """Of a motion that turns and walks, the arms and the waist are left."""
     walking = Motion.from_arrays(
@@ -171,11 +153,6 @@ def test_arms_play_on_legs_that_stand(squat):
     standing = stand(changed, ROBOT)
     assert standing.lowered_mm == 0.0
     assert corners_of(standing.motion)[..., 2].min() == pytest.approx(0.0, abs=1e-5)
-
-
-def test_a_motion_that_ends_on_one_foot_is_refused():
-    with pytest.raises(MotionError, match=r"lifted at .* in frames 57 to 62\."):
-        stand(load_motion("demo").frames(200, 263), ROBOT)
 
 
 def test_an_error_has_all_frames_that_forbid_a_motion(squat):
@@ -214,12 +191,6 @@ def jumping(jump):
 
 def test_arms_that_jump_within_a_frame_do_not_tip_the_robot():
     assert stand(jumping(0.25), ROBOT).shifted_mm == pytest.approx(0.0, abs=5.0)
-
-
-@pytest.mark.parametrize(("jump", "frames"), [(1.0, "in frame 30"), (2.0, "in frames 29 to 31")])
-def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
-    with pytest.raises(MotionError, match=f"the feet slip .* {frames}"):
-        stand(jumping(jump), ROBOT)
 
 
 def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame(standing_demo):
@@ -262,3 +233,26 @@ def test_legs_beyond_a_limit_are_refused_with_their_frames(squat):
         stand(deep, ROBOT)
     named = [int(number) for number in re.findall(r"\d+", raised.value.cause)]
     assert named == pytest.approx([beyond[0], beyond[-1]], abs=3)
+
+
+def hopping():
+    squat = squatting(2.0)
+    root = squat.root_pos.copy()
+    root[50:60, 2] += 0.2
+    return Motion.from_arrays(squat.joint_pos, root, fps=squat.fps)
+
+
+@pytest.mark.parametrize(
+    ("motion", "why"),
+    [
+        (hopping, "no foot is on the floor in frames 50 to 59"),
+        (lambda: stepping(STEPS, period=0.3, swing=0.4), r"both feet .* in frames \d+ to \d+"),
+        (lambda: stepping([(0.3, 0.0, 0.0)] * 2), r"centre of pressure .* in frames? \d+"),
+        (lambda: load_motion("demo").frames(200, 263), r"lifted at .* in frames 57 to 62\."),
+        (lambda: jumping(1.0), "the feet slip .* in frame 30"),
+        (lambda: jumping(2.0), "the feet slip .* in frames 29 to 31"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_with_its_frames(motion, why):
+    with pytest.raises(MotionError, match=why):
+        stand(motion(), ROBOT)

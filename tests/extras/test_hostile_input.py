@@ -257,20 +257,6 @@ def test_log_messages(path, data):
     use_session(path)
 
 
-@examples(100)
-@given(st.one_of(st.binary(max_size=300), edited(CSV, CSV.split(b"\n", 1)[1])))
-def test_motion_csv(path, content):
-    path.write_bytes(content)
-    use_motion(path)
-
-
-@examples(120)
-@given(st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS)))
-def test_motion_arrays(path, content):
-    path.write_bytes(content)
-    use_motion(path)
-
-
 def test_bags_are_motions(path):
     path = path.with_suffix(".db3")  # by which rosbags knows SQLite
     for content in BAGS:
@@ -278,10 +264,17 @@ def test_bags_are_motions(path):
         assert load_motion(path).n_frames == 4
 
 
-@examples(80)
-@given(edited(*BAGS))
-def test_bags(path, content):
-    path = path.with_suffix(".db3")
+TABLES = st.one_of(st.binary(max_size=300), edited(CSV, CSV.split(b"\n", 1)[1]))
+PICKLES = st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS))
+
+
+@examples(300)
+@given(
+    st.one_of(st.tuples(st.just(""), TABLES | PICKLES), st.tuples(st.just(".db3"), edited(*BAGS)))
+)
+def test_motions(path, file):
+    suffix, content = file
+    path = path.with_suffix(suffix)
     path.write_bytes(content)
     use_motion(path)
 

@@ -75,8 +75,10 @@ def path(play, write_session):
     )
 
 
-def test_the_tables_are_the_json(path, tmp_path):
+def test_the_tables_are_the_json_and_a_video_beside_the_session_is_shown(path, tmp_path):
+    path.with_suffix(".mp4").write_bytes(b"film")
     text = g1stream.report(path, tmp_path / "report.html").read_text()
+    assert f"data:video/mp4;base64,{base64.b64encode(b'film').decode()}" in text
     page, values = Page(text), numbers(path)
     assert len(page.values) > 29 * 5
     assert_values(page, values)
@@ -117,45 +119,33 @@ def test_the_figures_lose_no_peak(play, write_session, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_physics_of_what_was_played(short, tmp_path):
+def test_what_is_shown_of_physics_and_pelvis_depends_on_how_a_robot_was_held(short, tmp_path):
     path = tmp_path / "walk.csv"
     g1stream.load_motion("demo").frames(0, 24).save(path)
     whole, part = g1stream.load_motion(path), g1stream.load_motion(path).frames(0, 18)
     rollouts = [
-        g1stream.rollout(one, support="bolted", seconds=0.5, config=short) for one in (whole, part)
+        g1stream.rollout(motion, support=support, seconds=0.5, config=short)
+        for motion, support in ((whole, "bolted"), (part, "follow"))
     ]
-    text = g1stream.report(rollouts, tmp_path / "report.html").read_text()
+    page = Page(g1stream.report(rollouts, tmp_path / "report.html").read_text())
     values = numbers(rollouts)
+    assert_values(page, values)
     attached, reference = (one["physics"] for one in values["sessions"])
     frames = round(0.5 * whole.fps) + 1  # of an attached motion with that of its end
     played = g1stream.motion_physics(whole, frames=range(frames))
     assert attached == json.loads(played.model_dump_json())
     assert reference["frames"] == frames - 1
-    page = Page(text)
-    assert_values(page, values)
-    assert {key.split(".")[1] for key in page.values if ".physics." in key} == {"0", "1"}
-    # As it was held, and nothing of other supports.
-    torques = [key.split(".")[4] for key in page.values if ".physics.torques." in key]
-    assert {*torques} == {"bolted"}
-    assert not any(".physics.feet." in key for key in page.values)
-
-
-@pytest.mark.slow
-def test_a_pelvis_that_is_held_has_no_error_in_the_world(short, tmp_path):
-    bolted, free = (
-        g1stream.rollout("demo", support=support, seconds=0.5, config=short)
-        for support in ("bolted", "follow")
+    torques, body = (
+        [{key.split(".")[4] for key in page.values if f"sessions.{i}.{of}." in key} for i in (0, 1)]
+        for of in ("physics.torques", "metrics.body")
     )
-    text = g1stream.report([bolted, free], tmp_path / "report.html").read_text()
+    assert torques == [{"bolted"}, {"follow"}]
+    assert not any(".physics.feet." in key for key in page.values)
     of_pelvis = {"world", "root_relative", "pelvis", "terminations"}
-    shown = [
-        {key.split(".")[4] for key in Page(text).values if f"sessions.{i}.metrics.body." in key}
-        for i in (0, 1)
-    ]
-    assert not shown[0] & of_pelvis
-    assert of_pelvis <= shown[1]
-    assert "pelvis_frame" in shown[0]
-    assert numbers(bolted)["sessions"][0]["metrics"]["body"]["world"] is not None
+    assert not body[0] & of_pelvis
+    assert of_pelvis <= body[1]
+    assert "pelvis_frame" in body[0]
+    assert values["sessions"][0]["metrics"]["body"]["world"] is not None
 
 
 def test_the_physics_of_nothing(play, write_session, tmp_path):
@@ -214,12 +204,6 @@ def test_no_text_of_a_file_becomes_markup(play, write_session, tmp_path):
     assert evil not in text
     assert Page(text).scripts == ["plotly", "figures", None]
     assert "<b>" not in text
-
-
-def test_a_video_beside_the_session_is_shown(path, tmp_path):
-    path.with_suffix(".mp4").write_bytes(b"film")
-    text = g1stream.report(path, tmp_path / "report.html").read_text()
-    assert f"data:video/mp4;base64,{base64.b64encode(b'film').decode()}" in text
 
 
 def test_what_cannot_be_written(path, tmp_path):

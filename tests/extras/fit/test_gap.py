@@ -95,10 +95,16 @@ def test_noise_is_measured_beside_a_movement():
     assert noise_of(moving).max() < 1e-5
 
 
-def test_joints_that_differ_and_why(other):
-    found = gap(other)
-    names = list(found.joints)
-    assert KNEE in names[:6]
+@pytest.fixture(scope="module")
+def written(other, tmp_path_factory):
+    """The gap of the other robot, and the session in which it is written."""
+    out = tmp_path_factory.mktemp("gap") / "gap.mcap"
+    return gap(other, out=out), open_session(out)
+
+
+def test_joints_that_differ_and_why(written):
+    found, _ = written
+    assert KNEE in list(found.joints)[:6]
     assert found.joints[KNEE].differs
     first = found.joints[KNEE].causes[0]
     assert first.name == "dry friction"
@@ -115,10 +121,8 @@ def test_with_its_parameters_it_does_not_differ(other, params):
     assert found.delay_s == pytest.approx(0.0)
 
 
-def test_the_session_that_is_written(other, tmp_path):
-    out = tmp_path / "gap.mcap"
-    found = gap(other, out=out)
-    written = open_session(out)
+def test_the_session_that_is_written(other, written):
+    found, written = written
     assert written.topics.keys() == other.topics.keys() | {"/simulated/joint_states"}
     assert other.topics.items() <= written.topics.items()
     assert written.metadata["gap"]["q_rad"] == found.q_rad

@@ -16,23 +16,21 @@ from g1stream.testing import SyntheticSession
 
 def session(**wrong):
     source = MemorySource()
-    SyntheticSession(wrong.pop("seconds", 2.0), **wrong).write(source)
+    SyntheticSession(**{"seconds": 1.0} | wrong).write(source)
     return Session(source)
 
 
-def runs(level, n=4, seconds=2.0, **more):
+def runs(levels):
     """Sessions whose error varies by some 3 % from run to run."""
-    rng = np.random.default_rng(int(level * 1e4))
-    levels = level * (1.0 + 0.03 * rng.standard_normal(n))
-    return [session(bias=one, noise=1e-4, seconds=seconds, **more) for one in levels]
+    rng = np.random.default_rng(5)
+    return [
+        [session(bias=level * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(4)]
+        for level in levels
+    ]
 
 
-@pytest.fixture(scope="module")
-def worse():
-    return g1stream.compare(runs(0.010), runs(0.013))
-
-
-def test_a_change_beyond_the_noise_is_significant(worse):
+def test_a_change_beyond_the_noise_is_significant():
+    worse = g1stream.compare(*runs((0.010, 0.013)))
     rmse = worse.metrics["rmse"]
     assert rmse.change == pytest.approx(0.3, abs=0.05)
     assert rmse.significant
@@ -42,12 +40,7 @@ def test_a_change_beyond_the_noise_is_significant(worse):
 
 
 def test_noise_is_not():
-    rng = np.random.default_rng(5)
-    sides = [
-        [session(bias=0.01 * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(3)]
-        for _ in range(2)
-    ]
-    same = g1stream.compare(*sides)
+    same = g1stream.compare(*runs((0.01, 0.01)))
     assert not any(one.significant for one in same.joints.values())
     assert all(one.p <= one.p_adjusted <= 1.0 for one in same.joints.values())
 

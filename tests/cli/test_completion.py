@@ -75,12 +75,7 @@ def test_the_syntax_is_right(scripts, shell):
     if not shutil.which(shell):
         pytest.skip(f"{shell} is not installed")
     subprocess.run([shell, "-n", scripts / shell], check=True)
-
-
-def test_fish_completes(scripts, tmp_path):
-    if not shutil.which("fish"):
-        pytest.skip("fish is not installed")
-    for typed in ("g1stream str", "g1stream stream demo --support fe"):
+    for typed in ("g1stream str", "g1stream stream demo --support fe") if shell == "fish" else ():
         code = f'source {scripts / "fish"}; complete --do-complete "{typed}"'
         done = subprocess.run(["fish", "-c", code], capture_output=True, text=True, check=True)
         assert {line.split("\t")[0] for line in done.stdout.splitlines()} == TYPED[typed][0]

@@ -43,7 +43,7 @@ def settle(balance, first, seconds, **given):
 
 
 def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
-    settle(balance, first, 2.0)
+    settle(balance, first, 1.0)
     left, right = balance.wrench.reshape(2, 6)
     assert left[2] + right[2] == pytest.approx(WEIGHT, rel=2e-3)
     assert left[2] == pytest.approx(right[2], rel=0.05)
@@ -57,7 +57,7 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
 def test_what_the_band_carries_is_left_to_it(balance, first):
     """Torques of half the weight, at rest: something else carries the other half."""
     half = balance.torque(first, reading(first), 0.0, share=0.5, planted=False)
-    for _ in range(1000):
+    for _ in range(500):
         balance.torque(first, reading(first, half), 0.0, planted=False)
     assert balance.carried == pytest.approx(0.5, abs=0.02)
     assert balance.wrench[[2, 8]].sum() == pytest.approx(0.5 * WEIGHT, rel=0.02)
@@ -120,7 +120,7 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
 
 def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():
     """A robot that does exactly what the reference asks for, through two steps of a turn."""
-    turning = stepping([(0.1, 0.05, 0.5), (0.1, 0.05, 0.5)])
+    turning = stepping([(0.1, 0.05, 0.5)] * 2, period=1.2)
     trajectory = Trajectory(stand(turning, ROBOT).motion)
     balance = Balance(ROBOT, PERIOD)
     balance.begin(Target.from_point(0.0, trajectory.sample(0.0)).at_rest())

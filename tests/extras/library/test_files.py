@@ -14,13 +14,11 @@ from g1stream.extras.library.files import content_hash, find_motions, local_copy
 NAMES = ["broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz"]
 
 
-def test_motions_below_a_directory(motions):
+def test_motions_below_a_directory_and_a_named_file_whatever_its_name(motions, checked):
     found = find_motions([str(motions), str(motions / "first.npz")])
     assert [path.removeprefix(f"{motions}/") for path in found] == NAMES
-
-
-def test_a_named_file_is_taken_whatever_its_name(motions):
     assert find_motions([str(motions / "notes.txt")]) == [str(motions / "notes.txt")]
+    assert find_motions([str(checked[1])]) == []  # a library
 
 
 def test_urls_are_those_of_fsspec(motions):
@@ -99,7 +97,3 @@ def test_a_recording_in_parts_is_one_motion(tmp_path):
 def test_places_that_do_not_exist(place):
     with pytest.raises(ConfigError):
         find_motions([place])
-
-
-def test_a_library_is_no_motion(checked):
-    assert find_motions([str(checked[1])]) == []

@@ -1,12 +1,8 @@
 import json
-import os
-import pty
-import re
 import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -100,37 +96,6 @@ def test_the_flags_of_what_another_program_reads(convert, tmp_path):
     assert (ours[1] == finite[1]).all()
     assert (ours[0] == other[0]).all()
     assert np.linalg.norm(ours[1] - other[1], axis=1).max() > 0.005  # the waists differ
-
-
-@pytest.mark.slow
-def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
-    leader, follower = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm"}
-    with subprocess.Popen(
-        [*COMMAND, "demo", str(tmp_path / "out.mcap"), "--resample", "2000"],
-        stdout=follower,
-        stderr=follower,
-        env=environment,
-    ):
-        os.close(follower)
-        shown = b""
-        with suppress(OSError):  # that is how a terminal says that nobody writes any more
-            while True:
-                shown += os.read(leader, 4096)
-    os.close(leader)
-    assert re.search(rb"[1-9][0-9]* %", shown)
-    assert shown.endswith(b" MB\r\n")
-
-
-def test_a_warning_changes_no_exit_code(convert, tmp_path):
-    header, *lines = DEMO.read_text().splitlines()
-    cells = lines[7].split(",")
-    cells[4:8] = [str(2.24 * float(cell)) for cell in cells[4:8]]
-    path = tmp_path / "norm.csv"
-    path.write_text("\n".join([header, *lines[:7], ",".join(cells), *lines[8:]]))
-    done = convert(path, tmp_path / "out.mcap")
-    assert done.code == 0
-    assert "frame 7, line 9" in done.err
 
 
 @pytest.mark.parametrize(

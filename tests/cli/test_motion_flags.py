@@ -9,7 +9,7 @@ from g1stream.cli.flags import parse_flags
 from g1stream.cli.main import main
 from g1stream.cli.motion import Inspect
 from g1stream.cli.stream import Stream
-from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.session.records import MotionInfo
@@ -99,20 +99,6 @@ def test_a_flag_of_an_earlier_version_leads_to_the_new_ones():
         parsed("stream", "demo", "--trim", "1:5")
     assert "--trim" in caught.value.cause
     assert "--start and --duration" in caught.value.remedy
-
-
-@pytest.mark.parametrize(
-    "flags", [("--start", "99"), ("--start", "-1"), ("--repeat", "2", "--blend", "-1")]
-)
-def test_changes_that_are_not_possible(flags):
-    with pytest.raises(MotionError):
-        parsed("motion", "demo", *flags).load(["demo"])
-
-
-@pytest.mark.parametrize("name", ["stream", "motion", "convert"])
-def test_a_motion_is_needed(name):
-    with pytest.raises(ConfigError, match="MOTION"):
-        parsed(name).run()
 
 
 def test_the_report_is_about_the_changed_motion(run):

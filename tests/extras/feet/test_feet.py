@@ -217,11 +217,6 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
     assert min(heights) > 0.68
 
 
-def test_the_legs_play_as_a_whole_or_not_at_all():
-    with pytest.raises(ConfigError, match="both legs"):
-        rollout(squatting(1.0), support="feet", joints="left_leg,arms")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("push", "stands"),

@@ -54,15 +54,6 @@ def test_distance_from_any_polygon():
     assert (found > 0).sum() > 5
 
 
-def test_a_sliding_corner_has_its_speed():
-    times = np.arange(30) / 30
-    corners = np.zeros((30, 1, 3))
-    corners[:, 0, :2] = times[:, np.newaxis] * (0.03, 0.04)
-    touches, speed = touching(corners, 30.0)
-    assert touches.all()
-    assert speed == pytest.approx(np.full((30, 1), 0.05))
-
-
 def test_contact_ends_where_a_corner_is_clearly_off():
     heights = np.array([25, 25, 10, 25, 15, 34, 36, 34, 21, 19, 30]) * 1e-3
     corners = np.zeros((len(heights), 1, 3))
@@ -75,18 +66,6 @@ def test_the_zero_moment_point_is_where_the_force_acts():
     point, force = np.array([0.3, -0.2, 0.0]), np.array([20.0, -10.0, 300.0])
     twist = np.array([0.0, 0.0, 4.0])
     assert zero_moment_point(force, np.cross(point, force) + twist) == pytest.approx(point[:2])
-
-
-def test_forces_add_up_and_push_within_the_friction_cone():
-    corners = np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.5, 0, 0)])
-    point, force = np.array([0.2, 0.03, 0.0]), np.array([30.0, -40.0, 330.0])
-    moment = np.cross(point, force)
-    touches = np.ones((1, len(corners)), bool)
-    (forces,) = floor_forces(corners[None], touches, force[None], moment[None])
-    assert forces.sum(axis=0) == pytest.approx(force, rel=1e-5)
-    assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
-    assert (forces[:, 2] >= 0).all()
-    assert (np.hypot(*forces[:, :2].T) <= FRICTION * forces[:, 2] + 1e-9).all()
 
 
 def test_forces_of_many_frames_are_those_of_lawson_and_hanson():

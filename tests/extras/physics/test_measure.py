@@ -168,17 +168,6 @@ def test_at_rest_the_centre_of_pressure_is_below_the_mass_centre(forward):
         assert answers(physics) == dict(YES, free="no")
 
 
-def test_a_pelvis_that_accelerates_shifts_the_centre_of_pressure():
-    """By -h a / g: the whole robot moves as one, and turns nowhere."""
-    q, root_pos = stance(0.6)
-    ((x, y, height),) = mass_centre(q, root_pos)[1]
-    times, acceleration = np.arange(61) / FPS, np.array([-0.8, 0.5])
-    path = np.outer((times - times[30]) ** 2 / 2, [*acceleration, 0.0])
-    point = centre_of_pressure(moving(np.tile(q, (61, 1)), root_pos + path))[30]
-    assert point == pytest.approx([x, y] - height * acceleration / G, abs=1e-6)
-    assert 0.5 < height < 0.8
-
-
 def test_friction_is_sideways_over_weight():
     q, root_pos = stance(0.6)
     times, acceleration = np.arange(31) / FPS, 7.0

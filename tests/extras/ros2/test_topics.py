@@ -1,4 +1,4 @@
-"""What ROS 2 is given on DDS, decoded by rosbags, which knows ROS and nothing of ours."""
+"""What ROS 2 is given on DDS, decoded by cyclonedds with types of ROS 2 that are written here."""
 
 import os
 from collections import defaultdict
@@ -13,7 +13,6 @@ from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import float64, int32, sequence, uint32
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 from yourdfpy import URDF
 
@@ -33,7 +32,6 @@ from g1stream.dds.messages import (
 )
 from g1stream.robot.model import G1
 
-ROS = get_typestore(Stores.ROS2_HUMBLE)
 STEP = 10_000_000
 T0 = 1_700_000_000_000_000_000
 Q, DQ, TAU = (np.float32(np.random.default_rng(i).uniform(-0.4, 0.4, 29)) for i in range(3))
@@ -71,25 +69,6 @@ TYPES = {
     ),
     "rt/robot_description": struct("std_msgs.msg.dds_.String_", data=str),
 }
-MESSAGES = {
-    "rt/tf": "tf2_msgs/msg/TFMessage",
-    "rt/joint_states": "sensor_msgs/msg/JointState",
-    "rt/robot_description": "std_msgs/msg/String",
-}
-
-
-class Sample:
-    """A sample that cyclonedds leaves in its bytes."""
-
-    def __init__(self, data):
-        self.data = data
-        self.sample_info = None
-
-    @classmethod
-    def deserialize(cls, data):
-        return cls(data)
-
-    deserialize_key = deserialize
 
 
 class Ros:
@@ -100,19 +79,14 @@ class Ros:
         self._publications = BuiltinDataReader(entity, BuiltinTopicDcpsPublication)
         self._readers = {}
         for name, kind in TYPES.items():
-            about = {"__idl__": kind.__idl__, "__idl_typename__": kind.__idl_typename__}
             policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(DEPTH)]
             if name == "rt/robot_description":
                 policies.append(Policy.Durability.TransientLocal)
-            topic = Topic(entity, name, type("Raw", (Sample,), about))
+            topic = Topic(entity, name, kind)
             self._readers[name] = DataReader(entity, topic, Qos(*policies))
 
     def take(self, name):
-        return [
-            ROS.deserialize_cdr(sample.data, MESSAGES[name])
-            for sample in self._readers[name].take(DEPTH)
-            if isinstance(sample, Sample)
-        ]
+        return [one for one in self._readers[name].take(DEPTH) if isinstance(one, TYPES[name])]
 
     def publications(self):
         """By topic, type name and QoS of each publisher there is, as discovered."""

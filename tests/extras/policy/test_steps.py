@@ -292,26 +292,16 @@ def test_a_file_that_has_changed_or_gone_is_no_default(falling, place, tmp_path)
 
 def nan_where_it_turns(path):
     """A policy that holds the default pose, and gives NaN where the pelvis turns by 1 rad/s."""
-    model = network_of()
-    pick = np.zeros((154, 1), np.float32)
+    model, pick = network_of(), np.zeros((154, 1), np.float32)
     pick[65] = 1.0  # about the lateral axis
-    constants = {"weights": np.zeros((154, 29), np.float32), "pick": pick}
-    constants |= {"most": np.float32(1.0), "nan": np.float32(np.nan), "nothing": np.float32(0.0)}
+    constants = {"pick": pick, "one": np.float32(1.0), "none": np.zeros((1, 29), np.float32)}
+    nodes = ["MatMul obs pick turn", "Mul turn turn square", "Sub one square left"]
+    nodes += ["Sqrt left root", "MatMul root none actions"]
     del model.graph.initializer[:], model.graph.node[:]
-    model.graph.initializer.extend(
-        numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()
-    )
-    model.graph.node.extend(
-        helper.make_node(kind, takes, [gives])
-        for kind, takes, gives in (
-            ("MatMul", ["obs", "pick"], "turn"),
-            ("Abs", ["turn"], "speed"),
-            ("Greater", ["speed", "most"], "fast"),
-            ("Where", ["fast", "nan", "nothing"], "more"),
-            ("MatMul", ["obs", "weights"], "still"),
-            ("Add", ["still", "more"], "actions"),
-        )
-    )
+    for name, value in constants.items():
+        model.graph.initializer.append(numpy_helper.from_array(np.asarray(value), name))
+    for kind, *takes, gives in map(str.split, nodes):
+        model.graph.node.append(helper.make_node(kind, takes, [gives]))
     helper.set_model_props(model, METADATA)
     onnx.save(model, path)
     return path

@@ -123,10 +123,11 @@ def test_a_gif_lasts_as_long_as_the_session(session, tmp_path):
     ],
 )
 def test_what_cannot_be_written_leaves_nothing(session, tmp_path, name, how, error):
+    same = session()
     (tmp_path / "there.png").write_text("mine")
     before = sorted(tmp_path.iterdir())
     with pytest.raises(error):
-        render(session(), tmp_path / name, **({"start": 1.0, "size": SIZE} | how))
+        render(same, tmp_path / name, **({"start": 1.0, "size": SIZE} | how))
     assert sorted(tmp_path.iterdir()) == before
     assert (tmp_path / "there.png").read_text() == "mine"
 

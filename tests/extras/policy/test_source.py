@@ -248,9 +248,6 @@ def test_no_robot_and_none_that_a_simulator_holds_is_commanded_by_a_policy(polic
         PolicyTargets(settings(policy()), ROBOT).begin("free", "bolted", None)
 
 
-# --- how the feet take the weight ---
-
-
 def bent(angle=0.3):
     pose = np.zeros(29)
     pose[[0, 6]], pose[[3, 9]], pose[[4, 10]] = -angle, 2 * angle, -angle
@@ -312,9 +309,6 @@ def test_leg_odometry_of_a_robot_that_shifts_over_its_feet():
     assert odometry.pos[2] == pytest.approx(height, abs=1e-6)
     assert odometry.vel[2] == pytest.approx((height - before) / 0.02, abs=1e-6)
     assert np.abs(odometry.pos[:2]).max() < 0.01
-
-
-# --- policies of others, in lockstep ---
 
 
 @needs_policies

@@ -269,9 +269,6 @@ def test_messages_that_are_not_what_they_say(tmp_path, joints):
         load_motion(path)
 
 
-# --- bags as sessions ---
-
-
 @pytest.fixture(scope="module")
 def played():
     """Joint positions of the bundled motion, begun 3 s after the first message, and times, ns."""

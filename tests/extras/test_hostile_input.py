@@ -370,19 +370,21 @@ def chunk(size, data, compression=b"zstd", claimed=None):
     return b"\x06" + struct.pack("<Q", len(content)) + content
 
 
+def zipped(name, data, **how):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", **how) as archive:
+        archive.writestr(name, data)
+    return file.getvalue()
+
+
 def bomb(kind):
     """A small file that has, or claims to have, gigabytes."""
     if kind == "npz":
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            archive.writestr("time.npy", bytes(600 * MIB))
-        return file.getvalue()
+        how = {"compression": zipfile.ZIP_DEFLATED, "compresslevel": 1}
+        return zipped("time.npy", bytes(600 * MIB), **how)
     if kind == "npz header":
         head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }\n".ljust(118)
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
-        return file.getvalue()
+        return zipped("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
     if kind == "pickle":
         return zlib.compress(bytes(600 * MIB), 1)
     packed = zstandard.compress(bytes(64 * MIB))

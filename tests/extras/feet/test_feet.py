@@ -106,11 +106,11 @@ def test_a_speed_that_a_remedy_gives_can_be_played():
     assert g1stream.stand(quick.at_speed(speed)).motion.duration > quick.duration
 
 
-def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
-    whole, arms = g1stream.stand("demo"), g1stream.stand("demo", "arms")
-    assert (whole.upper_body, arms.upper_body) == (False, True)
-    saved = whole.motion.save(tmp_path / "demo.npz")
-    assert g1stream.stand(saved).joint_deg < 0.5 * whole.joint_deg
+def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(standing_demo, tmp_path):
+    arms = g1stream.stand("demo", "arms")
+    assert (standing_demo.upper_body, arms.upper_body) == (False, True)
+    saved = standing_demo.motion.save(tmp_path / "demo.npz")
+    assert g1stream.stand(saved).joint_deg < 0.5 * standing_demo.joint_deg
     with pytest.raises(ConfigError):
         g1stream.stand("demo", "left_leg")
     with pytest.raises(ConfigError, match="23"):

@@ -222,12 +222,6 @@ def test_external_data_that_is_absent_is_refused(policy):
         Network(path)
 
 
-def test_the_action_is_that_of_the_network(policy):
-    observation = np.linspace(-1.0, 2.0, 154)
-    action = Network(policy()).act(observation)
-    assert action == pytest.approx(np.full(29, 0.01 * observation.sum()), abs=1e-5)
-
-
 def test_a_network_that_fails_is_an_error_with_a_cause(policy, capsys):
     assert main(["policy", str(policy(batch=4)), "--motion", "demo"]) == 2
     assert capsys.readouterr().err.startswith("error: The network of ")

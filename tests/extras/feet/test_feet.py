@@ -41,7 +41,7 @@ def config(noise=0.0, **stream):
 
 @pytest.mark.slow
 def test_it_stands_and_follows_the_reference():
-    session = rollout(squatting(2.0), config=config(noise=1.0))
+    session = rollout(squatting(2.0), config=config(noise=1.0, ramp=1.5))
     played = session.metadata["stream"]
     assert played["reason"] == ""
     assert played["support"] == "feet"

@@ -1,8 +1,12 @@
 import json
+import os
+import pty
+import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +45,7 @@ def test_what_a_file_does_not_say_is_told(convert, tmp_path, flags):
     rows[:, 8:] *= 0.1  # too calm for joint limits to tell the order
     np.savetxt(path, rows[:, 1:], "%.6f", delimiter=",")
     done = convert(path, tmp_path / name, *to, "--quiet")
-    assert done.code == 0
+    assert (done.code, done.out) == (0, "")
     order, pelvis, rate = (line.split(": ", 3)[1:] for line in done.err.splitlines())
     assert order[:2] == ["bare.csv", "joint order"]
     assert order[2].startswith("motor: ")
@@ -96,6 +100,22 @@ def test_the_flags_of_what_another_program_reads(convert, tmp_path):
     assert (ours[1] == finite[1]).all()
     assert (ours[0] == other[0]).all()
     assert np.linalg.norm(ours[1] - other[1], axis=1).max() > 0.005  # the waists differ
+
+
+@pytest.mark.slow
+def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
+    leader, follower = pty.openpty()
+    command = [*COMMAND, "demo", str(tmp_path / "out.mcap"), "--resample", "2000"]
+    environment = os.environ | {"TERM": "xterm"}
+    with subprocess.Popen(command, stdout=follower, stderr=follower, env=environment):
+        os.close(follower)
+        shown = b""
+        with suppress(OSError):  # that is how a terminal says that nobody writes any more
+            while True:
+                shown += os.read(leader, 4096)
+    os.close(leader)
+    assert re.search(rb"[1-9][0-9]* %", shown)
+    assert shown.endswith(b" MB\r\n")
 
 
 @pytest.mark.parametrize(

@@ -180,6 +180,15 @@ def test_what_few_need_is_in_the_whole_help_only(capsys):
     assert "--help-all" not in helped(Several, "several", "--help", capsys=capsys)
 
 
+def test_the_whole_help_has_every_setting_with_its_table(capsys):
+    whole = helped(Stream, "stream", "--help-all", capsys=capsys)
+    assert "[safety]" in whole
+    for key, setting in settings().items():
+        if "stream" in (setting.json_schema_extra or {}).get("flag", ()):
+            name = key.rpartition(".")[2]
+            assert flag_name(f"no_{name}" if setting.default is True else name) in whole
+
+
 def test_the_simulator_of_a_robot_on_its_feet_holds_nothing():
     config = resolved("sim", "--support", "feet")
     assert (config.sim.support, config.sim.held_by) == ("feet", "free")

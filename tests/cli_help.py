@@ -1,16 +1,18 @@
 """What the help of every command has."""
 
-from __future__ import annotations
+import pytest
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import subprocess
+from g1stream.cli.main import main
 
 
-def check_help(command: str, done: subprocess.CompletedProcess[str]) -> None:
-    """Check that it has examples and exit codes, and that no line passes 80 columns."""
-    assert done.returncode == 0
-    assert f"  g1stream {command}" in done.stdout.split("Examples:")[1]
-    assert "Exit codes:\n  0  " in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 80
+def check_help(command, monkeypatch, capsys):
+    """Check that both have examples and exit codes, and that no line passes 80 columns."""
+    monkeypatch.setenv("COLUMNS", "80")
+    for flag in ("--help", "--help-all"):
+        with pytest.raises(SystemExit) as ended:
+            main([command, flag])
+        shown = capsys.readouterr().out
+        assert not ended.value.code
+        assert f"  g1stream {command}" in shown.split("Examples:")[1]
+        assert "Exit codes:\n  0  " in shown
+        assert max(map(len, shown.splitlines())) <= 80

@@ -33,13 +33,13 @@ METADATA = {
 }
 
 
-def network_of(width=154, n_actions=29, domain="", batch=1):
+def network_of(width=154, n_actions=29, domain="", batch=1, declared=None):
     weights = numpy_helper.from_array(np.full((width, n_actions), 0.01, np.float32), "weights")
     tensor = helper.make_tensor_value_info
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["obs", "weights"], ["actions"], domain=domain)],
         "policy",
-        [tensor("obs", TensorProto.FLOAT, [batch, width])],
+        [tensor("obs", TensorProto.FLOAT, [batch, declared or width])],
         [tensor("actions", TensorProto.FLOAT, [batch, n_actions])],
         [weights],
     )

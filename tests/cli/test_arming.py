@@ -1,7 +1,3 @@
-"""--arm and --yes: the text, and who is asked."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -35,21 +31,15 @@ def test_the_text_is_the_snapshot(report, matches_snapshot):
 
 
 def test_yes_names_the_interface(report, capsys):
-    ask = arming(True, "eth9")
-    assert ask is not None
-    assert ask(report)
+    assert arming(True, "eth9")(report)
     assert "waist_yaw_joint" in capsys.readouterr().err
-    other = arming(True, "eth0")
-    assert other is not None
     with pytest.raises(ConfigError):
-        other(report)
+        arming(True, "eth0")(report)
 
 
 def test_what_a_terminal_obeys_is_escaped(report, capsys):
     hostile = warning("motion service", "mode \x1b[2J", "Look.")
-    ask = arming(True, "eth9")
-    assert ask is not None
-    ask(replace(report, motion_service=hostile))
+    arming(True, "eth9")(replace(report, motion_service=hostile))
     printed = capsys.readouterr().err
     assert "\x1b" not in printed
     assert "\\x1b[2J" in printed
@@ -57,10 +47,8 @@ def test_what_a_terminal_obeys_is_escaped(report, capsys):
 
 def test_without_a_terminal_yes_is_needed(report, monkeypatch):
     monkeypatch.setattr("sys.stdin", type("Pipe", (), {"isatty": lambda _: False})())
-    ask = arming(True, None)
-    assert ask is not None
     with pytest.raises(ConfigError) as caught:
-        ask(report)
+        arming(True, None)(report)
     assert "--yes eth9" in caught.value.remedy
 
 

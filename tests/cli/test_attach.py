@@ -1,14 +1,9 @@
-"""`g1stream attach`, and --motion of the commands that show sessions."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
 
 import g1stream
-from g1stream.cli.main import main
 from g1stream.dds.messages import LOWCMD, LOWSTATE, encode_samples
 from g1stream.session.writer import SessionWriter
 
@@ -34,32 +29,26 @@ def theirs(tmp_path_factory):
     return path
 
 
-def test_what_was_found_is_printed_and_written(theirs, tmp_path, capsys):
+def test_what_was_found_is_printed_and_written(theirs, tmp_path, run):
     out = tmp_path / "attached.mcap"
-    assert main(["attach", str(theirs), "demo", "-o", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(run("attach", theirs, "demo", "-o", out, "--json").out)
     session = g1stream.open_session(out)
     assert found == session.attached.model_dump(mode="json")
     assert (found["by"], found["start_s"]) == ("commands", pytest.approx(3.0, abs=1e-3))
     assert session.tracking().mean == pytest.approx(np.full(29, 0.01), abs=1e-3)
 
 
-def test_without_out_nothing_is_written(theirs, capsys):
+def test_without_out_nothing_is_written(theirs, run):
     before = sorted(theirs.parent.iterdir())
-    assert main(["attach", str(theirs), "demo"]) == 0
-    assert "of the motion, starting 3.0" in capsys.readouterr().out
+    assert run("attach", theirs, "demo").code == 0
     assert sorted(theirs.parent.iterdir()) == before
 
 
-def test_the_commands_that_show_sessions_take_the_motion(theirs, tmp_path, capsys):
-    motion = ["--motion", "demo"]
-    assert main(["info", str(theirs), *motion, "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)
+def test_the_commands_that_show_sessions_take_the_motion(theirs, tmp_path, run):
+    motion = "--motion", "demo"
+    summary = json.loads(run("info", theirs, *motion, "--json").out)
     assert summary["tracking"]["all_joints"]["rmse_rad"] == pytest.approx(0.01, abs=1e-3)
-    assert (
-        main(["plot", str(theirs), *motion, "-o", str(tmp_path / "plot.svg"), "--what", "error"])
-        == 0
-    )
+    assert run("plot", theirs, *motion, "-o", tmp_path / "plot.svg", "--what", "error").code == 0
 
 
 @pytest.mark.parametrize(
@@ -73,8 +62,9 @@ def test_the_commands_that_show_sessions_take_the_motion(theirs, tmp_path, capsy
         ["info", "{theirs}", "--motion", "nothing.csv"],
     ],
 )
-def test_refusals(theirs, arguments, capsys):
+def test_refusals(theirs, arguments, run):
     content = theirs.read_bytes()
-    assert main([one.format(theirs=theirs) for one in arguments]) == 2
-    assert capsys.readouterr().err.startswith("error: ")
+    ended = run(*(one.format(theirs=theirs) for one in arguments))
+    assert ended.code == 2
+    assert ended.err.startswith("error: ")
     assert theirs.read_bytes() == content

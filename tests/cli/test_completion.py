@@ -1,7 +1,3 @@
-"""The scripts complete in real shells, and know every command and flag."""
-
-from __future__ import annotations
-
 import shutil
 import subprocess
 
@@ -79,22 +75,7 @@ def test_the_syntax_is_right(scripts, shell):
     if not shutil.which(shell):
         pytest.skip(f"{shell} is not installed")
     subprocess.run([shell, "-n", scripts / shell], check=True)
-
-
-def test_the_script_and_the_help_name_the_same_directory(scripts, capsys):
-    with pytest.raises(SystemExit):
-        main(["completion", "--help"])
-    path = "~/.local/share/bash-completion/completions/g1stream"
-    assert path in capsys.readouterr().out
-    named = [word for word in (scripts / "bash").read_text().split() if "/share/" in word]
-    assert named
-    assert all(path in word for word in named)
-
-
-def test_fish_completes(scripts, tmp_path):
-    if not shutil.which("fish"):
-        pytest.skip("fish is not installed")
-    for typed in ("g1stream str", "g1stream stream demo --support fe"):
+    for typed in ("g1stream str", "g1stream stream demo --support fe") if shell == "fish" else ():
         code = f'source {scripts / "fish"}; complete --do-complete "{typed}"'
         done = subprocess.run(["fish", "-c", code], capture_output=True, text=True, check=True)
         assert {line.split("\t")[0] for line in done.stdout.splitlines()} == TYPED[typed][0]

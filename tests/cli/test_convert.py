@@ -1,7 +1,3 @@
-"""`g1stream convert` as a user meets it: output, exit codes, bad input, signals, a terminal."""
-
-from __future__ import annotations
-
 import json
 import os
 import pty
@@ -22,64 +18,55 @@ DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
-    )
-
-
 @pytest.fixture
-def out(tmp_path):
-    return tmp_path / "out.mcap"
+def convert(run):
+    return lambda *arguments: run("convert", *arguments)
 
 
-def test_in_a_pipe_it_shows_no_progress_and_says_in_one_line_what_it_wrote(out):
-    done = run("demo", out, "--frames", "10:40")
+def test_in_a_pipe_it_shows_no_progress_and_says_in_one_line_what_it_wrote(convert, tmp_path):
+    out = tmp_path / "out.mcap"
+    told = convert("demo", out, "--frames", "10:40")
     size = out.stat().st_size / 1e6
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"{out}: 30 frames at 30 Hz, 0.97 s, {size:.1f} MB\n"
+    assert told == (0, f"{out}: 30 frames at 30 Hz, 0.97 s, {size:.1f} MB\n", "")
 
 
-def test_the_rate_that_a_csv_does_not_keep_is_told(tmp_path):
-    done = run("demo", tmp_path / "fast.csv", "--speed", "2")
-    assert done.returncode == 0
-    assert "--fps 60" in done.stderr
+def test_the_rate_that_a_csv_does_not_keep_is_told(convert, tmp_path):
+    done = convert("demo", tmp_path / "fast.csv", "--speed", "2")
+    assert done.code == 0
+    assert "--fps 60" in done.err
 
 
 @pytest.mark.parametrize("flags", [("m.csv",), ("m.npz", "--to", "mjlab"), ("m.mcap",)])
-def test_what_a_file_does_not_say_is_told(tmp_path, flags):
+def test_what_a_file_does_not_say_is_told(convert, tmp_path, flags):
     """Rate and orders of a CSV without a header; nothing for one that is asked for or named."""
     name, *to = flags
     path = tmp_path / "bare.csv"
     rows = np.loadtxt(DEMO, delimiter=",", skiprows=1)
     rows[:, 8:] *= 0.1  # too calm for joint limits to tell the order
     np.savetxt(path, rows[:, 1:], "%.6f", delimiter=",")
-    done = run(path, tmp_path / name, *to, "--quiet")
-    assert done.returncode == 0
-    assert [line.split(":")[:3] for line in done.stderr.splitlines()] == [
-        ["warning", " bare.csv", f" {subject}"]
-        for subject in ("joint order", "pelvis", "frame rate")
-    ]
-    order, *others = (line.split(": ", 3)[3] for line in done.stderr.splitlines())
-    assert order.startswith("motor: ")
-    assert others == ["the columns before the joints, xyzw, assumed.", "30 fps, assumed."]
-    done = run(DEMO, tmp_path / name, *to, "--fps", "30", "--force")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = convert(path, tmp_path / name, *to, "--quiet")
+    assert (done.code, done.out) == (0, "")
+    order, pelvis, rate = (line.split(": ", 3)[1:] for line in done.err.splitlines())
+    assert order[:2] == ["bare.csv", "joint order"]
+    assert order[2].startswith("motor: ")
+    assert pelvis[1:] == ["pelvis", "the columns before the joints, xyzw, assumed."]
+    assert rate[1:] == ["frame rate", "30 fps, assumed."]
+    done = convert(DEMO, tmp_path / name, *to, "--fps", "30", "--force")
+    assert (done.code, done.err) == (0, "")
 
 
-def test_an_assumed_set_of_23_joints_is_told_once(tmp_path):
+def test_an_assumed_set_of_23_joints_is_told_once(convert, tmp_path):
     path = tmp_path / "bare.csv"
     np.savetxt(path, np.zeros((5, 23)), "%.1f", delimiter=",")
-    done = run(path, tmp_path / "m.npz", "--to", "mjlab")
-    assert done.returncode == 0
-    (told,) = (line for line in done.stderr.splitlines() if "joint order" in line)
-    assert "motor, without the six wrists" in told
+    done = convert(path, tmp_path / "m.npz", "--to", "mjlab")
+    assert done.code == 0
+    (told,) = (line for line in done.err.splitlines() if "joint order" in line)
     assert "--joint-order motor-23dof" in told
 
 
-def test_the_summary_as_json(out):
-    done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
-    told = json.loads(done.stdout)
+def test_the_summary_as_json(convert, tmp_path):
+    out, base = tmp_path / "out.mcap", ("--base-time", "1970-01-01T00:01Z")
+    told = json.loads(convert("demo", out, "--json", "--frames", "10:40", *base).out)
     assert told["path"] == str(out)
     assert told["size"] == out.stat().st_size
     assert told["counts"]["/tf"] == told["frames"] == 30
@@ -87,25 +74,25 @@ def test_the_summary_as_json(out):
 
 
 @pytest.mark.parametrize(("name", "out"), [("mjlab", "m.npz"), ("sonic", "m"), ("gmr", "m.pkl")])
-def test_what_another_program_reads(tmp_path, name, out):
-    done = run("demo", tmp_path / out, "--to", name, "--frames", "10:40", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
-    told = json.loads(done.stdout)
+def test_what_another_program_reads(convert, tmp_path, name, out):
+    done = convert("demo", tmp_path / out, "--to", name, "--frames", "10:40", "--json")
+    assert (done.code, done.err) == (0, "")
+    told = json.loads(done.out)
     n_frames, fps = (30, 30) if name == "gmr" else (49, 50)
     assert told == {"path": str(tmp_path / out), "format": name, "frames": n_frames, "fps": fps}
     motion = g1stream.load_motion(tmp_path / out)
     assert (motion.n_frames, motion.fps) == (n_frames, fps)
-    assert run("demo", tmp_path / out, "--to", name).returncode == 2
+    assert convert("demo", tmp_path / out, "--to", name).code == 2
     assert g1stream.load_motion(tmp_path / out).n_frames == n_frames
 
 
-def test_the_flags_of_what_another_program_reads(tmp_path):
+def test_the_flags_of_what_another_program_reads(convert, tmp_path):
     """Velocities and the robot's bodies."""
     found = {}
     for flags in ((), ("--velocities", "finite"), ("--urdf", "g1_29dof")):
         path = tmp_path / "m.npz"
-        done = run("demo", path, "--to", "mjlab", "--frames", "10:40", "--force", *flags)
-        assert done.returncode == 0
+        done = convert("demo", path, "--to", "mjlab", "--frames", "10:40", "--force", *flags)
+        assert done.code == 0
         with np.load(path) as file:
             found[flags] = file["joint_vel"], file["body_pos_w"][:, 15]
     ours, finite, other = found.values()
@@ -116,15 +103,11 @@ def test_the_flags_of_what_another_program_reads(tmp_path):
 
 
 @pytest.mark.slow
-def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
+def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
     leader, follower = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm"}
-    with subprocess.Popen(
-        [*COMMAND, "demo", str(out), "--resample", "2000"],
-        stdout=follower,
-        stderr=follower,
-        env=environment,
-    ):
+    command = [*COMMAND, "demo", str(tmp_path / "out.mcap"), "--resample", "2000"]
+    environment = os.environ | {"TERM": "xterm"}
+    with subprocess.Popen(command, stdout=follower, stderr=follower, env=environment):
         os.close(follower)
         shown = b""
         with suppress(OSError):  # that is how a terminal says that nobody writes any more
@@ -135,84 +118,37 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
     assert shown.endswith(b" MB\r\n")
 
 
-def test_a_warning_changes_no_exit_code(tmp_path, out):
-    header, *lines = DEMO.read_text().splitlines()
-    cells = lines[7].split(",")
-    cells[4:8] = [str(2.24 * float(cell)) for cell in cells[4:8]]
-    path = tmp_path / "norm.csv"
-    path.write_text("\n".join([header, *lines[:7], ",".join(cells), *lines[8:]]))
-    converted = run(path, out)
-    assert converted.returncode == 0
-    assert "frame 7, line 9" in converted.stderr
-
-
-def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Path:
-    path = tmp_path / name
-    path.write_text(DEMO.read_text().replace(old, new, 1))
-    return path
-
-
-CASES = {
-    "a word for a number": (
-        lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
-        "line 2, column 2 (X)",
-    ),
-    "no output": (lambda tmp: ["demo"], "FILE"),
-    "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
-    "a time without a zone": (
-        lambda tmp: ["demo", tmp / "a.mcap", "--base-time", "2026-03-01T12:00:00"],
-        "no time zone",
-    ),
-    "no range": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9"], "not a range of frames"),
-    "no URDF": (lambda tmp: ["demo", tmp / "a.mcap", "--urdf", DEMO], "is not XML"),
-    "a rate for a format that has its own": (
-        lambda tmp: ["demo", tmp / "a.npz", "--to", "mjlab", "--resample", "60"],
-        "--resample",
-    ),
-    "a URDF for a motion file": (
-        lambda tmp: ["demo", tmp / "a.npz", "--urdf", "g1_23dof"],
-        "the output",
-    ),
-    "velocities for a session": (
-        lambda tmp: ["demo", tmp / "a.mcap", "--velocities", "finite"],
-        "--to",
-    ),
-    "a format and a bag": (
-        lambda tmp: ["demo", tmp / "a", "--to", "sonic", "--ros2"],
-        "--to",
-    ),
-    "the name of another format": (
-        lambda tmp: ["demo", tmp / "a.csv", "--to", "mjlab"],
-        ".npz",
-    ),
-    "a robot of 23 joints": (
-        lambda tmp: ["demo", tmp / "a", "--to", "sonic", "--urdf", "g1_23dof"],
-        "23",
-    ),
-    "an unknown compression": (
-        lambda tmp: ["demo", tmp / "a.mcap", "--compression", "zip"],
-        "zstd",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_bad_input_has_a_cause_a_remedy_and_leaves_no_file(case, tmp_path):
-    arguments, word = CASES[case]
-    given = arguments(tmp_path)
-    before = sorted(tmp_path.iterdir())
-    done = run(*given)
-    assert done.returncode == 2
-    assert word in done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
-    assert sorted(tmp_path.iterdir()) == before
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("{spoiled} {tmp}/a.mcap", "line 2, column 2 (X)"),
+        ("demo", "FILE"),
+        ("demo {spoiled}", "exists already"),
+        ("demo {tmp}/a.mcap --base-time 2026-03-01T12:00:00", "no time zone"),
+        ("demo {tmp}/a.mcap --frames 9", "not a range of frames"),
+        ("demo {tmp}/a.mcap --urdf {spoiled}", "is not XML"),
+        ("demo {tmp}/a.npz --to mjlab --resample 60", "--resample"),
+        ("demo {tmp}/a.npz --urdf g1_23dof", "the output"),
+        ("demo {tmp}/a.mcap --velocities finite", "--to"),
+        ("demo {tmp}/a --to sonic --ros2", "--to"),
+        ("demo {tmp}/a.csv --to mjlab", ".npz"),
+        ("demo {tmp}/a --to sonic --urdf g1_23dof", "23"),
+        ("demo {tmp}/a.mcap --compression zip", "zstd"),
+    ],
+)
+def test_bad_input_has_a_cause_and_leaves_no_file(convert, tmp_path, arguments, named):
+    spoiled = tmp_path / "spoiled.csv"
+    spoiled.write_text(DEMO.read_text().replace("\n0,", "\n0,x", 1))
+    done = convert(*arguments.format(tmp=tmp_path, spoiled=spoiled).split())
+    assert (done.code, done.out) == (2, "")
+    assert named in done.err
+    assert [*tmp_path.iterdir()] == [spoiled]
 
 
 def test_a_signal_leaves_no_file(tmp_path):
     header, *lines = DEMO.read_text().splitlines()
     motion = tmp_path / "long.csv"
-    rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(20_000))
+    rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(8000))
     motion.write_text("\n".join((header, *rows)))
     with subprocess.Popen(
         [*COMMAND, str(motion), str(tmp_path / "a.mcap"), "--resample", "500"],

@@ -1,5 +1,3 @@
-"""`g1stream doctor`: what it prints and how it exits."""
-
 import json
 
 import pytest

@@ -1,16 +1,10 @@
-"""Flags come from the fields of g1stream.config, and go over config files."""
-
-from __future__ import annotations
-
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 
 import pytest
 
 from g1stream.cli.command import Command, announce_wire
-from g1stream.cli.convert import Convert
-from g1stream.cli.demo import Demo
-from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
+from g1stream.cli.flags import argument, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
@@ -27,7 +21,7 @@ def resolved(command, *arguments):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", CLASSES)
-def test_every_setting_with_a_flag_is_one(command, tmp_path):
+def test_every_setting_with_a_flag_is_one(command):
     for key, setting in settings().items():
         if command not in (setting.json_schema_extra or {}).get("flag", ()):
             continue
@@ -50,14 +44,11 @@ def test_every_setting_with_a_flag_is_one(command, tmp_path):
             assert str(value) == given[1]
 
 
-def test_zero_is_a_domain(tmp_path):
+def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
     config = tmp_path / "five.toml"
     config.write_text("[dds]\ndomain = 5\n")
     assert resolved("stream", "--config", str(config), "--domain", "0").dds.domain == 0
     assert resolved("stream", "--config", str(config)).dds.domain == 5
-
-
-def test_a_shipped_config_is_found_by_its_name():
     assert resolved("sim", "--config", "robot").dds.domain == 0
 
 
@@ -66,18 +57,13 @@ def test_a_shipped_config_is_found_by_its_name():
     [
         ("stream", ("--rate", "9"), "--rate cannot be 9"),
         ("stream", ("--rate=abc",), "--rate cannot be abc"),
-        ("stream", ("--rate", "nan"), "--rate cannot be nan"),
         ("stream", ("--domain", "1.5"), "--domain cannot be 1.5"),
-        ("stream", ("--domain", "233"), "--domain cannot be 233"),
         ("stream", ("--duration", "0"), "--duration cannot be 0"),
         ("stream", ("--feedforward", "torque"), "'velocity'"),
         ("stream", ("--fps", "0"), "--fps cannot be 0"),
-        ("sim", ("--support", "balloon"), "'hanging'"),
         ("stream", ("--split-size", "5"), "--split-size"),
         ("replay", ("--force",), "--force"),
         ("sim", ("--live-port", "9000"), "--live-port"),
-        ("stream", ("--live", "--live-port", "0"), "--live-port cannot be 0"),
-        ("record", ("--split-duration", "-1"), "--split-duration cannot be -1"),
     ],
 )
 def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments, named):
@@ -93,10 +79,8 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
         (["--domian=3"], "--domian", "--domain"),
         (["x", "-z"], "-z", "--help"),
         ([], "MOTION", "--help"),
-        (["--arm"], "MOTION", "--help"),
         (["x", "--domain"], "--domain", "--help"),
         (["x", "--duration", "--arm"], "--duration", "--help"),
-        (["x", "--support"], "--support", "--help"),
         (["x", "--arm=yes"], "yes", "--help"),
     ],
 )
@@ -125,13 +109,10 @@ class Several(Command):
     sweep: list[str] = flag((), "May be repeated.", "NAME=A,B")
 
 
-def test_a_flag_can_be_required(capsys):
+def test_a_flag_can_be_required():
     with pytest.raises(ConfigError) as caught:
         parse_flags(Several, "several", "", ["session.mcap"])
     assert "--with" in caught.value.cause
-    with pytest.raises(SystemExit):
-        parse_flags(Several, "several", "", ["--help"])
-    assert capsys.readouterr().out.count("(required)") == 2  # BASE... and --with
 
 
 def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):
@@ -193,28 +174,10 @@ def test_what_few_need_is_in_the_whole_help_only(capsys):
     whole = helped(Advanced, "advanced", "--help-all", capsys=capsys)
     assert "--usual NUMBER" in short
     assert "--special" not in short
-    assert "Show 1 more flag" in short
+    assert "--help-all" in short
     assert "--special FILE" in whole
-    assert "Show all flags" in whole
     assert parse_flags(Advanced, "advanced", "", ["--special", "x"]).special == Path("x")
-
-
-def test_a_command_without_such_flags_has_one_help(capsys):
     assert "--help-all" not in helped(Several, "several", "--help", capsys=capsys)
-
-
-@pytest.mark.parametrize("kind", [Demo, Stream])
-def test_the_help_of_a_demo_has_the_domain_that_it_chooses(kind, capsys):
-    words = " ".join(helped(kind, kind.__name__.lower(), "--help", capsys=capsys).split())
-    assert ("default: the first free one of 1 to 8)" in words) is (kind is Demo)
-    assert ("0 to 232; default: 1)" in words) is (kind is Stream)
-
-
-@pytest.mark.parametrize(("kind", "tables"), [(Convert, False), (Stream, True)])
-def test_tables_are_promised_where_the_whole_help_has_them(kind, tables, capsys):
-    name = kind.__name__.lower()
-    assert ("TOML table" in helped(kind, name, "--help", capsys=capsys)) is tables
-    assert ("[dds]" in helped(kind, name, "--help-all", capsys=capsys)) is tables
 
 
 def test_the_whole_help_has_every_setting_with_its_table(capsys):
@@ -224,26 +187,6 @@ def test_the_whole_help_has_every_setting_with_its_table(capsys):
         if "stream" in (setting.json_schema_extra or {}).get("flag", ()):
             name = key.rpartition(".")[2]
             assert flag_name(f"no_{name}" if setting.default is True else name) in whole
-
-
-@pytest.mark.parametrize("command", CLASSES)
-def test_a_help_fits_two_screens(command, capsys):
-    short = helped(CLASSES[command], command, "--help", capsys=capsys)
-    assert len(short.splitlines()) < 80
-    assert "[dds]" not in short
-
-
-def test_no_number_is_called_a_name():
-    found = {}
-    for command, kind in CLASSES.items():
-        parser = command_parser(kind, command, "")
-        found |= {action.dest: action.metavar for action in parser._actions}
-    assert found["sim.noise"] == "NUMBER"
-    assert found["sim.push"] == "M/S"
-    assert found["sim.seed"] == "N"
-    assert found["stream.duration"] == "SECONDS"
-    assert found["stream.rate"] == "HZ"
-    assert not {dest for dest, metavar in found.items() if metavar in ("S", "X", "NAME")}
 
 
 def test_the_simulator_of_a_robot_on_its_feet_holds_nothing():

@@ -1,7 +1,3 @@
-"""Progress and events on a terminal and elsewhere."""
-
-from __future__ import annotations
-
 import os
 import pty
 import subprocess
@@ -35,7 +31,7 @@ print("end")
 EVENTS = "warning: overrun\nHOLD -> DAMP\n"
 
 
-def on_terminal(**environment: str) -> str:
+def on_terminal(**environment):
     """What `RUN` writes to a terminal."""
     leader, follower = pty.openpty()
     variables = {**os.environ, "TERM": "xterm", **environment}

@@ -1,7 +1,3 @@
-"""With --quiet only warnings, errors and what --json asks for are printed."""
-
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -81,12 +77,9 @@ def test_warnings_and_errors_stay(talk, name):
     assert QUIET not in os.environ or not os.environ[QUIET]
 
 
-def test_what_json_asks_for_stays(talk):
+def test_what_json_asks_for_and_a_failure_stay(talk):
     code, out, _ = talk("-q", "--json")
     assert (code, json.loads(out)) == (0, {"is_quiet": True})
-
-
-def test_a_failure_is_told(talk):
     code, out, err = talk("-q", "--fails")
     assert (code, out) == (2, "")
     assert "error: It fails." in err
@@ -99,9 +92,3 @@ def test_events_of_child_processes(monkeypatch, quiet, level):
     monkeypatch.setenv(QUIET, quiet)
     assert ConsoleHandler().level == level
     assert ConsoleHandler(logging.ERROR).level == logging.ERROR
-
-
-def test_a_motion_is_converted_in_silence(tmp_path, capsys):
-    assert program.main(["convert", "demo", str(tmp_path / "a.npz"), "-q"]) == 0
-    assert capsys.readouterr() == ("", "")
-    assert (tmp_path / "a.npz").exists()

@@ -1,13 +1,8 @@
-"""`g1stream robot`: flags, output and exit codes; the calls are tested with programs."""
-
-from __future__ import annotations
-
 import json
 
 import pytest
 
 from g1stream.app import motion_service
-from g1stream.cli.main import main
 from g1stream.dds.motion_switcher import OnboardStatus
 
 
@@ -17,34 +12,29 @@ def calls(monkeypatch):
     made = []
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     status = OnboardStatus(form="0", name="ai")
-    monkeypatch.setattr(
-        motion_service, "onboard_status", lambda *args: made.append(("status", *args)) or status
-    )
-    monkeypatch.setattr(
-        motion_service, "release_mode", lambda *args: made.append(("release", *args)) or "ai"
-    )
-    monkeypatch.setattr(
-        motion_service, "restore_mode", lambda *args: made.append(("restore", *args)) or "ai"
-    )
+    calls = {"onboard_status": status, "release_mode": "ai", "restore_mode": "ai"}
+    for name, answer in calls.items():
+        monkeypatch.setattr(
+            motion_service, name, lambda *args, n=name, a=answer: made.append((n, *args)) or a
+        )
     return made
 
 
-def test_status_as_json(calls, capsys):
-    assert main(["robot", "status", "--json", "--domain", "9"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"form": "0", "name": "ai"}
+def test_status_as_json(calls, run):
+    told = run("robot", "status", "--json", "--domain", "9")
+    assert json.loads(told.out) == {"form": "0", "name": "ai"}
     ((name, where, timeout),) = calls
-    assert (name, where.domain, where.interface, timeout) == ("status", 9, "lo", 5.0)
+    assert (name, where.domain, where.interface, timeout) == ("onboard_status", 9, "lo", 5.0)
 
 
-def test_release_on_loopback_needs_no_confirmation(calls, capsys):
-    assert main(["robot", "release", "--timeout", "2"]) == 0
-    assert [(name, args[-1]) for name, *args in calls] == [("release", 2.0)]
-    assert "g1stream robot restore ai" in capsys.readouterr().out
+def test_release_on_loopback_needs_no_confirmation(calls, run):
+    assert "g1stream robot restore ai" in run("robot", "release", "--timeout", "2").out
+    assert [(name, args[-1]) for name, *args in calls] == [("release_mode", 2.0)]
 
 
-def test_restore_takes_a_name(calls):
-    assert main(["robot", "restore", "normal"]) == 0
-    assert [(name, args[1]) for name, *args in calls] == [("restore", "normal")]
+def test_restore_takes_a_name(calls, run):
+    assert run("robot", "restore", "normal").code == 0
+    assert [(name, args[1]) for name, *args in calls] == [("restore_mode", "normal")]
 
 
 @pytest.mark.parametrize(
@@ -59,18 +49,14 @@ def test_restore_takes_a_name(calls):
         ["release", "--interface", "eth9", "--yes", "eth0"],
     ],
 )
-def test_bad_flags_and_no_confirmation_call_nothing(arguments, calls):
-    try:
-        code = main(["robot", *arguments])
-    except SystemExit as ended:
-        code = ended.code
-    assert code == 2
+def test_bad_flags_and_no_confirmation_call_nothing(arguments, calls, run):
+    assert run("robot", *arguments).code == 2
     assert calls == []
 
 
 @pytest.mark.parametrize(("typed", "code"), [("eth9\n", 0), ("yes\n", 2)])
-def test_confirmed_on_the_terminal(typed, code, calls, monkeypatch):
+def test_confirmed_on_the_terminal(typed, code, calls, monkeypatch, run):
     terminal = type("Terminal", (), {"isatty": lambda _: True, "readline": lambda _: typed})
     monkeypatch.setattr("sys.stdin", terminal())
-    assert main(["robot", "release", "--interface", "eth9"]) == code
+    assert run("robot", "release", "--interface", "eth9").code == code
     assert len(calls) == (code == 0)

@@ -1,5 +1,3 @@
-"""The summary of `g1stream sim` as text."""
-
 from g1stream.cli.sim import render
 from g1stream.sim.robot import SimReport
 

@@ -1,7 +1,4 @@
-"""The examples run as they are written."""
-
-from __future__ import annotations
-
+import runpy
 import subprocess
 import sys
 from collections import defaultdict
@@ -10,20 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import g1stream
+from g1stream.app.rollout import rollout
 from g1stream.app.session import open_session
 from g1stream.child_process import Child
 from g1stream.config import Config
-from g1stream.dds.messages import Batch
 from g1stream.motion.readers import load_motion
-from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import read_visuals
-from g1stream.session.source import MemorySource
-from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
-from g1stream.view.pipeline import MessagePipeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -60,9 +54,19 @@ def test_one_streams_a_motion_while_the_other_records_it(domain_id, tmp_path):
     assert 0 < commands[1] <= commands[0] + 5
 
 
-def run(name: str, *arguments: object) -> str:
-    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+@pytest.fixture
+def run(monkeypatch, capsys, short):
+    """Run an example, whose rollouts are short, and return what it prints."""
+    less = {"config": short, "seconds": 0.5}
+    monkeypatch.setattr(g1stream, "rollout", lambda *args, **how: rollout(*args, **how | less))
+
+    def run_example(name, *arguments):
+        path = str(EXAMPLES / name)
+        monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
+        runpy.run_path(path, run_name="__main__")
+        return capsys.readouterr().out
+
+    return run_example
 
 
 def write(path: Path, delay: float = 0.0) -> Path:
@@ -73,9 +77,9 @@ def write(path: Path, delay: float = 0.0) -> Path:
 
 
 @pytest.mark.slow
-def test_a_sweep_with_rollouts(tmp_path):
+def test_a_sweep_with_rollouts(run, tmp_path):
     picture = tmp_path / "sweep.png"
-    printed = run("sweep_rollout.py", "--kp", 40, 80, "--seconds", 1, "--plot", picture)
+    printed = run("sweep_rollout.py", "--kp", 40, 80, "--plot", picture)
     rows = [line.split() for line in printed.splitlines()[1:]]
     assert [row[0] for row in rows] == ["40", "80"]
     assert float(rows[1][1]) < float(rows[0][1])
@@ -83,7 +87,7 @@ def test_a_sweep_with_rollouts(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_joint_is_drawn(tmp_path):
+def test_a_joint_is_drawn(run, tmp_path):
     session = write(tmp_path / "session.mcap")
     for arguments in ([session], []):
         picture = tmp_path / "knee.png"
@@ -93,7 +97,7 @@ def test_a_joint_is_drawn(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_runs_are_compared(tmp_path):
+def test_two_runs_are_compared(run, tmp_path):
     sessions = [write(tmp_path / f"{delay}.mcap", delay) for delay in (0.04, 0.01)]
     printed = run("compare_runs.py", *sessions)
     (row,) = (line.split() for line in printed.splitlines() if line.startswith("rmse "))
@@ -101,7 +105,7 @@ def test_two_runs_are_compared(tmp_path):
 
 
 @pytest.mark.slow
-def test_steps_are_made_and_played(tmp_path):
+def test_steps_are_made_and_played(run, tmp_path):
     pytest.importorskip("daqp")
     printed = run("steps.py", tmp_path / "steps.npz", "--pairs", 1)
     assert printed.startswith("can be played")
@@ -109,29 +113,14 @@ def test_steps_are_made_and_played(tmp_path):
     assert load_motion(tmp_path / "steps.npz").duration == pytest.approx(6.4)
 
 
-def write_standard(path: Path) -> Path:
-    """A session with the channels that viewers show, of a robot that is 40 ms late."""
-    source, pipeline = MemorySource(), MessagePipeline(G1.default())
-    SyntheticSession(1.0, delay=0.04).write(source)
-    batches = {}
-    for topic, messages in source.batches(set(STREAMS)):
-        payloads = list(map(bytes, messages.data))
-        times = messages.log_times.tolist(), messages.publish_times.tolist()
-        batches[STREAMS[topic].source.name] = Batch(payloads, *times)
-    with SessionWriter(path) as writer:
-        made = [*raw_messages(batches), *pipeline.encode(batches)]
-        for one in [*pipeline.file_header(int(made[0].log_times[0])), *made]:
-            writer.write_batch(one.topic, one.payloads, one.log_times, one.publish_times)
-    return path
-
-
 @pytest.mark.slow
-def test_a_session_is_shown_in_rerun(tmp_path):
+def test_a_session_is_shown_in_rerun(short, tmp_path):
     pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
     from rerun.chunk import RrdReader
 
-    path, out = write_standard(tmp_path / "session.mcap"), tmp_path / "session.rrd"
-    run("rerun_session.py", path, "-o", out)
+    path, out = tmp_path / "session.mcap", tmp_path / "session.rrd"
+    rollout("demo", seconds=0.3, config=short).save(path)
+    subprocess.run([sys.executable, EXAMPLES / "rerun_session.py", path, "-o", out], check=True)
     reader = RrdReader(out)
     found = defaultdict(lambda: defaultdict(list))  # by entity, the values of each column
     for store in (*reader.recordings(), *reader.blueprints()):
@@ -142,10 +131,8 @@ def test_a_session_is_shown_in_rerun(tmp_path):
     measured, worst = open_session(path).measured, open_session(path).tracking().rmse.argmax()
     columns = found[f"/joints/{JOINT_NAMES[worst]}/measured"]
     np.testing.assert_array_equal(np.ravel(columns["Scalars:scalars"]), measured.q[:, worst])
-    for robot, shapes in (
-        ("measured", "/g1_29dof_rev_1_0/"),
-        ("ghost", "/ghost/g1_29dof_rev_1_0/"),
-    ):
+    shapes_of = {"measured": "/g1_29dof_rev_1_0/", "ghost": "/ghost/g1_29dof_rev_1_0/"}
+    for robot, shapes in shapes_of.items():
         drawn = {
             frame
             for place, values in found.items()

@@ -4,20 +4,17 @@ What comes out is a valid result or a G1StreamError; anything else fails. The ex
 in every run; FUZZ=20 takes twenty times as many, and others each time.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os
 import pickle
 import resource
-import sqlite3
 import struct
 import subprocess
 import sys
 import zipfile
 import zlib
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,6 +24,9 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
 
 from g1stream.app.convert import convert
 from g1stream.app.session import open_session
@@ -76,17 +76,8 @@ def edited(*valid):
             content = content[:at] + (b"" if kind == "truncate" else put) + content[at + skip :]
         return content
 
-    words = st.sampled_from(
-        [
-            b"\xff" * 8,
-            b"\0" * 8,
-            struct.pack("<Q", 2**40),
-            b"\x1b[2J",
-            b"nan",
-            b"1e308",
-            b"[" * 3000,
-        ]
-    )
+    numbers = b"\xff" * 8, b"\0" * 8, struct.pack("<Q", 2**40)
+    words = st.sampled_from([*numbers, b"\x1b[2J", b"nan", b"1e308", b"[" * 3000])
     edit = st.tuples(
         st.floats(0, 1, exclude_max=True),
         st.sampled_from(("replace", "replace", "insert", "cut", "truncate")),
@@ -147,24 +138,20 @@ def array_files():
 def bags():
     """Joint states and a transform in SQLite, and as `convert` writes them."""
     motion = load_motion("demo").frames(0, 4)
+    types = {"/joint_states": "sensor_msgs/msg/JointState", "/tf": "tf2_msgs/msg/TFMessage"}
+    pose = tf_message([FramePose(0, "world", "pelvis", (0, 0, 0), (1, 0, 0, 0))])
     with TemporaryDirectory() as directory:
-        path = Path(directory) / "bag.db3"
-        with closing(sqlite3.connect(path)) as database:
-            database.executescript(
-                "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT);"
-                "CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        bag, converted = Path(directory) / "bag", Path(directory) / "motion.mcap"
+        with BagWriter(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            store = get_typestore(Stores.ROS2_HUMBLE)
+            joints, frames = (
+                writer.add_connection(name, kind, typestore=store) for name, kind in types.items()
             )
-            types = ("joint_states", "sensor_msgs/msg/JointState"), ("tf", "tf2_msgs/msg/TFMessage")
-            rows = [(i, f"/{name}", kind, "cdr") for i, (name, kind) in enumerate(types)]
-            database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
-            pose = tf_message([FramePose(0, "world", "pelvis", (0, 0, 0), (1, 0, 0, 0))])
             for i, row in enumerate(motion.joint_pos.tolist()):
-                state = joint_state(i * 10**8, JOINT_NAMES, row, [], [])
-                both = [(2 * i + k, k, i * 10**8, one) for k, one in enumerate((state, pose))]
-                database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", both)
-            database.commit()
-        convert(motion, converted := Path(directory) / "motion.mcap")
-        return path.read_bytes(), converted.read_bytes()
+                writer.write(joints, i * 10**8, joint_state(i * 10**8, JOINT_NAMES, row, [], []))
+                writer.write(frames, i * 10**8, pose)
+        convert(motion, converted)
+        return (bag / "bag.db3").read_bytes(), converted.read_bytes()
 
 
 ARRAYS = array_files()
@@ -174,6 +161,11 @@ BAGS = bags()
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     return tmp_path_factory.mktemp("hostile") / "input"
+
+
+def use_motion(path):
+    with suppress(G1StreamError):
+        assert np.isfinite(load_motion(path).joint_pos).all()
 
 
 def use_session(path):
@@ -200,12 +192,8 @@ def test_session(path, content):
         use_session(path)
 
 
-HOSTILE_NUMBERS = (np.nan, np.inf, -np.inf, 1e12, 1e308, -1e308, 1e-308, 0.0)
-FIELDS = ("motion_time", "q", "root_pos", "root_quat_wxyz")
-
-
-@pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("value", HOSTILE_NUMBERS)
+@pytest.mark.parametrize("field", ["motion_time", "q", "root_pos", "root_quat_wxyz"])
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e12, 1e308, 0.0])
 def test_numbers_in_a_reference(path, field, value):
     def change(reference, state):
         if reference.tick == 7:
@@ -216,7 +204,7 @@ def test_numbers_in_a_reference(path, field, value):
 
 
 @pytest.mark.parametrize("field", ["q", "dq", "tau_est", "quaternion", "gyroscope"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, 3e38, 0.0])
+@pytest.mark.parametrize("value", [np.nan, 3e38, 0.0])
 def test_numbers_in_a_state(path, field, value):
     def change(reference, state):
         if reference.tick % 9 == 3:
@@ -243,32 +231,18 @@ JSON = st.recursive(
     max_leaves=8,
 )
 KEYS = [
-    "stream",
-    "recorder",
-    "motion",
-    "config",
-    "gains",
-    "host",
-    "domain",
-    "interface",
-    "versions",
-    "started_ns",
-    "measured_tf",
-    "g1stream",
+    *("stream", "recorder", "motion", "config", "gains", "host", "domain", "interface"),
+    *("versions", "started_ns", "measured_tf", "g1stream"),
 ]
 
 
-@examples(30)
-@given(st.dictionaries(st.sampled_from(KEYS), JSON))
+HARDLY_JSON = st.sampled_from(["[" * 100_000, "9" * 10_000, "\x1b[2J"])
+
+
+@examples(40)
+@given(st.dictionaries(st.sampled_from(KEYS), JSON.map(json.dumps) | HARDLY_JSON))
 def test_metadata(path, values):
-    strings = {key: json.dumps(value) for key, value in values.items()}
-    path.write_bytes(session_bytes(metadata=strings))
-    use_session(path)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 10_000, "NaN", "\x1b[2J", '{"a":' * 50_000])
-def test_metadata_that_is_hardly_json(path, text):
-    path.write_bytes(session_bytes(metadata=dict.fromkeys(KEYS, text)))
+    path.write_bytes(session_bytes(metadata=values))
     use_session(path)
 
 
@@ -279,24 +253,6 @@ def test_log_messages(path, data):
     use_session(path)
 
 
-@examples(150)
-@given(st.one_of(st.binary(max_size=300), edited(CSV, CSV.split(b"\n", 1)[1])))
-def test_motion_csv(path, content):
-    path.write_bytes(content)
-    with suppress(G1StreamError):
-        motion = load_motion(path)
-        assert np.isfinite(motion.joint_pos).all()
-
-
-@examples(200)
-@given(st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS)))
-def test_motion_arrays(path, content):
-    path.write_bytes(content)
-    with suppress(G1StreamError):
-        motion = load_motion(path)
-        assert np.isfinite(motion.joint_pos).all()
-
-
 def test_bags_are_motions(path):
     path = path.with_suffix(".db3")  # by which rosbags knows SQLite
     for content in BAGS:
@@ -304,14 +260,19 @@ def test_bags_are_motions(path):
         assert load_motion(path).n_frames == 4
 
 
-@examples(150)
-@given(edited(*BAGS))
-def test_bags(path, content):
-    path = path.with_suffix(".db3")
+TABLES = st.one_of(st.binary(max_size=300), edited(CSV, CSV.split(b"\n", 1)[1]))
+PICKLES = st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS))
+
+
+@examples(300)
+@given(
+    st.one_of(st.tuples(st.just(""), TABLES | PICKLES), st.tuples(st.just(".db3"), edited(*BAGS)))
+)
+def test_motions(path, file):
+    suffix, content = file
+    path = path.with_suffix(suffix)
     path.write_bytes(content)
-    with suppress(G1StreamError):
-        motion = load_motion(path)
-        assert np.isfinite(motion.joint_pos).all()
+    use_motion(path)
 
 
 @pytest.fixture(scope="module")
@@ -326,21 +287,19 @@ def published(tmp_path_factory):
     return {one.name: one.read_bytes() for one in directory.rglob("*") if one.is_file()}
 
 
-@examples(200)
+@examples(100)
 @given(st.data())
 def test_files_of_other_programs(path, published, data):
     name = data.draw(st.sampled_from(sorted(published)))
     path = path.with_name(f"published{Path(name).suffix}")
     path.write_bytes(data.draw(edited(published[name])))
-    with suppress(G1StreamError):
-        motion = load_motion(path)
-        assert np.isfinite(motion.joint_pos).all()
+    use_motion(path)
     if path.suffix == ".mcap":
         with suppress(G1StreamError):
             use_session(path)
 
 
-@examples(100)
+@examples(60)
 @given(edited(URDF))
 def test_urdf(path, content):
     path.write_bytes(content)
@@ -351,7 +310,7 @@ def test_urdf(path, content):
 TOML = b'robot = "g1_29dof"\n[stream]\nrate = 500.0\n[gains]\nkp = {"*_knee_joint" = 100.0}\n'
 
 
-@examples(200)
+@examples(100)
 @given(st.one_of(st.binary(max_size=80), edited(TOML, b"[kp]\nwaist_yaw_joint = 80.0\n")))
 def test_config_and_gains(path, content):
     path.write_bytes(content)
@@ -405,38 +364,27 @@ def test_xml_entities_are_refused(path, head):
     assert "<!DOCTYPE" in error.value.cause
 
 
-def in_little_memory(path, *arguments):
-    """Exit code and output of a command that has 1.5 GiB of addresses and 60 s."""
-    code = "import sys; from g1stream.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1536 * MIB, 1536 * MIB)),
-        check=False,
-    )
-
-
 def chunk(size, data, compression=b"zstd", claimed=None):
     head = struct.pack("<QQQII", T0, T0, size if claimed is None else claimed, 0, len(compression))
     content = head + compression + struct.pack("<Q", len(data)) + data
     return b"\x06" + struct.pack("<Q", len(content)) + content
 
 
+def zipped(name, data, **how):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", **how) as archive:
+        archive.writestr(name, data)
+    return file.getvalue()
+
+
 def bomb(kind):
     """A small file that has, or claims to have, gigabytes."""
     if kind == "npz":
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            archive.writestr("time.npy", bytes(600 * MIB))
-        return file.getvalue()
+        how = {"compression": zipfile.ZIP_DEFLATED, "compresslevel": 1}
+        return zipped("time.npy", bytes(600 * MIB), **how)
     if kind == "npz header":
         head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }\n".ljust(118)
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w") as archive:
-            archive.writestr("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
-        return file.getvalue()
+        return zipped("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
     if kind == "pickle":
         return zlib.compress(bytes(600 * MIB), 1)
     packed = zstandard.compress(bytes(64 * MIB))
@@ -450,17 +398,23 @@ def bomb(kind):
     return SESSION[:at] + b"".join(chunks) + SESSION[at:]
 
 
-BOMBS = ["frame", "claim", "chunks", "attachment", "npz", "npz header", "pickle"]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", BOMBS)
+@pytest.mark.parametrize(
+    "kind", ["frame", "claim", "chunks", "attachment", "npz", "npz header", "pickle"]
+)
 def test_a_small_file_takes_little_memory(path, kind):
     content = bomb(kind)
     assert len(content) < 3 * MIB
     path.write_bytes(content)
     command = "motion" if "npz" in kind or kind == "pickle" else "info"
-    ended = in_little_memory(path, command, str(path))
+    ended = subprocess.run(
+        [sys.executable, "-m", "g1stream", command, path],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1536 * MIB, 1536 * MIB)),
+        check=False,
+    )
     assert ended.returncode == 2, ended.stderr
     assert ended.stderr.startswith("error: ")
     assert "Traceback" not in ended.stderr
@@ -511,22 +465,19 @@ def test_control_characters_are_escaped_on_a_terminal(path, capsys):
     assert capsys.readouterr().err.replace("\n", "").isprintable()
 
 
-@pytest.mark.parametrize("value", ["1e308", "-1e308", "1e12", "nan", "inf", "1e999"])
-def test_numbers_in_a_csv_name_line_and_column(path, value):
-    lines = CSV.decode().splitlines()
-    cells = lines[2].split(",")
-    cells[9] = value
-    path.write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]))
-    with pytest.raises(MotionError) as error:
-        load_motion(path)
-    assert "line 3, column 10" in error.value.cause
-
-
 @pytest.mark.parametrize("field", ["joint_pos", "root_pos", "root_quat_wxyz"])
 def test_a_motion_of_large_numbers(field):
     arrays = {"joint_pos": np.zeros((3, len(JOINT_NAMES))), "root_pos": np.zeros((3, 3))}
     arrays["root_quat_wxyz"] = np.tile([1.0, 0, 0, 0], (3, 1))
     arrays[field][1, 1] = 1e308
-    with pytest.raises(MotionError) as error:
+    with pytest.raises(MotionError, match=field):
         Motion.from_arrays(**arrays, fps=30)
-    assert field in error.value.cause
+
+
+def test_a_large_number_in_a_csv_is_named_by_line_and_column(path):
+    lines = CSV.decode().splitlines()
+    cells = lines[2].split(",")
+    cells[9] = "1e308"
+    path.write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]))
+    with pytest.raises(MotionError, match="line 3, column 10"):
+        load_motion(path)

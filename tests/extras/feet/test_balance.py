@@ -1,16 +1,11 @@
-"""Balance: its forces against statics, and when it gives up."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.targets import Target
 from g1stream.extras.feet.squat import Squat
-from g1stream.extras.physics.example_motions import squatting, stepping
+from g1stream.extras.physics.example_motions import stepping
 from g1stream.extras.physics.stance import stand
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -24,13 +19,6 @@ ROBOT = G1.default()
 PERIOD = 0.002
 WEIGHT = 33.34 * 9.81  # N
 ANKLES = [JOINT_NAMES.index(f"{side}_ankle_pitch_joint") for side in ("left", "right")]
-
-
-@pytest.fixture(scope="module")
-def first():
-    return Target.from_point(
-        0.0, Trajectory(stand(squatting(2.0), ROBOT).motion).sample(0.0)
-    ).at_rest()
 
 
 @pytest.fixture
@@ -55,7 +43,7 @@ def settle(balance, first, seconds, **given):
 
 
 def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
-    settle(balance, first, 2.0)
+    settle(balance, first, 1.0)
     left, right = balance.wrench.reshape(2, 6)
     assert left[2] + right[2] == pytest.approx(WEIGHT, rel=2e-3)
     assert left[2] == pytest.approx(right[2], rel=0.05)
@@ -69,7 +57,7 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
 def test_what_the_band_carries_is_left_to_it(balance, first):
     """Torques of half the weight, at rest: something else carries the other half."""
     half = balance.torque(first, reading(first), 0.0, share=0.5, planted=False)
-    for _ in range(1000):
+    for _ in range(500):
         balance.torque(first, reading(first, half), 0.0, planted=False)
     assert balance.carried == pytest.approx(0.5, abs=0.02)
     assert balance.wrench[[2, 8]].sum() == pytest.approx(0.5 * WEIGHT, rel=0.02)
@@ -130,16 +118,9 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
     assert balance.summary is None
 
 
-@pytest.fixture(scope="module")
-def demo():
-    """Its right foot stands at 7.5 s, and is up by 9 cm at 8.67 s."""
-    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
-    return [Target.from_point(time, trajectory.sample(time)) for time in (7.5, 8.67)]
-
-
 def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():
     """A robot that does exactly what the reference asks for, through two steps of a turn."""
-    turning = stepping([(0.1, 0.05, 0.5), (0.1, 0.05, 0.5)])
+    turning = stepping([(0.1, 0.05, 0.5)] * 2, period=1.2)
     trajectory = Trajectory(stand(turning, ROBOT).motion)
     balance = Balance(ROBOT, PERIOD)
     balance.begin(Target.from_point(0.0, trajectory.sample(0.0)).at_rest())
@@ -187,7 +168,7 @@ def test_it_falls_where_the_capture_point_leaves_the_soles_by_10_mm(balance, fir
 
 def test_forces_stay_within_what_the_floor_can_give(balance, first):
     """Leant over as far as it may be, every force pushes, and none is outside of its sole."""
-    for angle in (-0.3, -0.1, 0.1, 0.3):
+    for angle in (-0.3, 0.1, 0.3):
         for rpy in ((angle, 0.0, 0.0), (0.0, angle, 0.0)):
             balance.begin(first)
             balance.torque(first, reading(first, rpy=rpy), 0.0)
@@ -203,7 +184,7 @@ def test_forces_stay_within_what_the_floor_can_give(balance, first):
 
 
 def test_a_foot_that_the_reference_lifts_carries_nothing(balance, demo):
-    planted, lifting = demo
+    planted, lifting = (Target.from_point(time, demo.sample(time)) for time in (7.5, 8.67))
     balance.begin(planted)
     balance.torque(lifting, reading(lifting), 0.0)
     left, right = balance.wrench.reshape(2, 6)

@@ -1,7 +1,3 @@
-"""A simulated robot on its own feet: it stands, is pushed, and falls safely."""
-
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -35,25 +31,17 @@ from g1stream.types import Phase
 
 pytest.importorskip("daqp")
 
-SHORT = {"ramp": 1.5, "hold": 0.2, "damp": 0.5}
+SHORT = {"ramp": 1.0, "hold": 0.2, "damp": 0.5}
 
 
 def config(noise=0.0, **stream):
-    return Config.model_validate({"sim": {"noise": noise}, "stream": SHORT | stream})
-
-
-def source(**stream):
-    """What keeps a robot on its feet with these settings."""
-    return StandingTorques(config(support="feet", **stream), G1.default())
-
-
-@pytest.fixture(scope="module")
-def session():
-    return rollout(squatting(2.0), support="feet", config=config(noise=1.0))
+    stream = SHORT | {"support": "feet"} | stream
+    return Config.model_validate({"sim": {"noise": noise}, "stream": stream})
 
 
 @pytest.mark.slow
-def test_it_stands_and_follows_the_reference(session):
+def test_it_stands_and_follows_the_reference():
+    session = rollout(squatting(2.0), config=config(noise=1.0, ramp=1.5))
     played = session.metadata["stream"]
     assert played["reason"] == ""
     assert played["support"] == "feet"
@@ -74,11 +62,7 @@ def test_it_stands_and_follows_the_reference(session):
     height = np.interp(session.base.time[playing], reference.time, reference.root_pos[:, 2])
     off = np.abs(session.base.position[playing, 2] - height).max()
     assert off - 2e-3 < balance.height_error_m < 0.01
-
-
-@pytest.mark.slow
-def test_the_feet_take_the_weight_before_the_robot_is_let_go(session):
-    """Without that the legs would give way by several mm, and the pelvis drop."""
+    # The feet take the weight before the robot is let go: the legs do not give way.
     after = (session.base.time > 0.0) & (session.base.time < 0.1)
     assert np.abs(session.base.velocity[after, 2]).max() < 0.05
 
@@ -93,7 +77,7 @@ def flags_in(remedy):
 
 @pytest.mark.parametrize(
     ("asked", "ends"),
-    [({}, 6.2), ({"start": 1.0, "duration": 12.0}, 6.2), ({"joints": "legs"}, 14.0)],
+    [({"start": 1.0, "duration": 12.0}, 6.2), ({"joints": "legs"}, 14.0)],
 )
 def test_what_a_remedy_gives_can_be_played(asked, ends):
     """The bundled demo, with a hop at 6.3 to 6.5 s and a jump of an arm at 11 s."""
@@ -103,11 +87,11 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
     pos[330:, JOINT_NAMES.index("left_shoulder_roll_joint")] += 2.0
     hopping = replace(demo, root_pos=root, joint_pos=pos)
     with pytest.raises(MotionError) as raised:
-        source(**asked).change(hopping)
+        StandingTorques(config(**asked), G1.default()).change(hopping)
     ways = list(flags_in(raised.value.remedy))
     assert len(ways) == 2
     for given in ways:
-        source(**asked | given).change(hopping)
+        StandingTorques(config(**asked | given), G1.default()).change(hopping)
     own, upper = ways
     assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
     assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))
@@ -122,11 +106,11 @@ def test_a_speed_that_a_remedy_gives_can_be_played():
     assert g1stream.stand(quick.at_speed(speed)).motion.duration > quick.duration
 
 
-def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
-    whole, arms = g1stream.stand("demo"), g1stream.stand("demo", "arms")
-    assert (whole.upper_body, arms.upper_body) == (False, True)
-    saved = whole.motion.save(tmp_path / "demo.npz")
-    assert g1stream.stand(saved).joint_deg < 0.5 * whole.joint_deg
+def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(standing_demo, tmp_path):
+    arms = g1stream.stand("demo", "arms")
+    assert (standing_demo.upper_body, arms.upper_body) == (False, True)
+    saved = standing_demo.motion.save(tmp_path / "demo.npz")
+    assert g1stream.stand(saved).joint_deg < 0.5 * standing_demo.joint_deg
     with pytest.raises(ConfigError):
         g1stream.stand("demo", "left_leg")
     with pytest.raises(ConfigError, match="23"):
@@ -134,19 +118,9 @@ def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_lifts_one_foot_and_then_the_other():
-    """The right one of the demo at 8.6 s, the left one at 9.5 s."""
-    session = rollout("demo", support="feet", seconds=2.5, config=config(noise=1.0, start=7.8))
-    assert session.metadata["stream"]["reason"] == ""
-    assert session.tracking().overall < 0.01
-    assert session.summary().stream.balance.lifts == 2
-
-
-@pytest.mark.slow
 def test_it_steps_to_where_the_motion_goes():
-    """Two steps of each foot, to the left in a turn; measured in the simulator."""
-    goal = (0.1, 0.1, 0.8)
-    steps = np.outer([1, 1, 2, 2], goal) / 2
+    """A step of each foot, to the left in a turn; measured in the simulator."""
+    goal = (0.05, 0.05, 0.4)
     world = World(G1.default(), "free")
     feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
     stood = []
@@ -158,9 +132,9 @@ def test_it_steps_to_where_the_motion_goes():
             turns = world.data.xmat[feet].reshape(2, 3, 3)
             stood.append((world.data.xpos[feet].copy(), yaw_of(world.data.xquat[feet]), turns))
 
-    loop = play(world, stepping(steps), "free", follow)
+    loop = play(world, stepping([goal, goal], period=1.2), "free", follow)
     assert loop.report.reason == ""
-    assert len(stood) == pytest.approx(500 * 9.6, abs=2)
+    assert len(stood) == pytest.approx(500 * 4.8, abs=2)
     (first, turned, _), (last, turned_last, level) = stood[0], stood[-1]
     x, y, heading = goal
     # As seen from between the feet where the robot began.
@@ -171,7 +145,7 @@ def test_it_steps_to_where_the_motion_goes():
     assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
     assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
     assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
-    assert loop.report.summary().balance.lifts == 4
+    assert loop.report.summary().balance.lifts == 2
     apart = np.diff(way[:, :2] - links[:, :2], axis=0)
     assert np.linalg.norm(apart) - 2e-3 < loop.report.summary().balance.feet_error_m < 0.015
 
@@ -184,19 +158,16 @@ def test_where_there_may_be_a_robot_it_has_to_be_allowed_with_its_torques():
 
     with pytest.raises(SafetyError, match="eth0"):
         made()
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError):
         made(experimental_feet=True)
-    assert "--feedforward dynamics" in refused.value.remedy
-    allowed = made(experimental_feet=True, feedforward="dynamics")
-    assert isinstance(allowed, StandingTorques)
+    assert isinstance(made(experimental_feet=True, feedforward="dynamics"), StandingTorques)
 
 
-def play(world, motion, announced, on_state, **stream):
+def play(world, motion, announced, on_state):
     """The loop of a motion on a world, in lockstep; `on_state` gets it and every LowState."""
-    settings = Config.model_validate({"stream": SHORT | {"support": "feet"} | stream})
     simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop, state))
     link = Lockstep(simulated, announced)
-    loop = make_loop(plan(motion, settings, simulated=True), link, link, settle=0)
+    loop = make_loop(plan(motion, config(), simulated=True), link, link, settle=0)
     loop.run()
     return loop
 
@@ -214,7 +185,7 @@ def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
         if (playing and not loop.stop_requests) or (phase is Phase.HOLD and requests == 2):
             loop.request_stop("enough")
 
-    loop = play(world, squatting(3.0), "free", stop)
+    loop = play(world, squatting(1.0), "free", stop)
     assert loop.report.reason == "enough"
     assert (heights[Phase.HOLD] < 0.65) == (requests == 1)
 
@@ -231,30 +202,25 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
     heights, waited = [], []
 
     def lower(loop, _state):
-        if loop.state.phase is Phase.RAMP and loop.state.elapsed(loop._clock.now()) > 1.5e9:
+        if loop.state.phase is Phase.RAMP and loop.state.elapsed(loop._clock.now()) > 1.0e9:
             waited.append(float(world.data.qpos[2]))
-            band._TOP -= 0.0006  # 0.3 m/s
+            band._TOP -= 0.0008  # 0.4 m/s
         elif loop.state.phase is Phase.PLAY:
             band._STIFFNESS = band._DAMPING = 0.0
             heights.append(float(world.data.qpos[2]))
 
-    loop = play(world, squatting(1.0), None, lower)
+    loop = play(world, squatting(0.5), None, lower)
     assert loop.report.reason == ""
     assert loop.report.summary().robot == name
     assert waited[0] > 1.0  # it hung in the air
-    assert len(heights) == 500
+    assert len(heights) == 250
     assert min(heights) > 0.68
-
-
-def test_the_legs_play_as_a_whole_or_not_at_all():
-    with pytest.raises(ConfigError, match="both legs"):
-        rollout(squatting(1.0), support="feet", joints="left_leg,arms")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("push", "stands"),
-    [((75.0, 0.0), True), ((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
+    [((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
 )
 def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stands):
     """For 0.1 s, at the torso; with 170 N to the left the pelvis goes aside by some 15 cm."""
@@ -269,7 +235,7 @@ def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stand
         if loop.state.phase < Phase.DAMP:
             tilts.append(tilt_of(world.data.qpos[3:7]))
 
-    loop = play(world, squatting(2.5), "free", shove)
+    loop = play(world, squatting(1.6), "free", shove)
     assert (loop.report.reason == "") == stands
     assert stands or "capture point" in loop.report.reason
     assert (loop.report.summary().balance.capture_margin_m > -0.01) == stands

@@ -1,18 +1,10 @@
-"""From hanging to standing: which torque a command has, and what RAMP waits for."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from g1stream.config import load_config
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
-from g1stream.control.targets import Target
 from g1stream.errors import ConfigError
-from g1stream.extras.physics.example_motions import squatting
-from g1stream.extras.physics.stance import stand
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -30,13 +22,6 @@ LEFT, RIGHT = (
 )
 
 
-@pytest.fixture(scope="module")
-def first():
-    return Target.from_point(
-        0.0, Trajectory(stand(squatting(1.0), ROBOT).motion).sample(0.0)
-    ).at_rest()
-
-
 @pytest.fixture
 def torques(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
@@ -45,24 +30,24 @@ def torques(first):
     return torques
 
 
-def commanded(torques, first, tau, *, rpy=(0.0, 0.0, 0.0), ramped=1.0, phase=Phase.RAMP):
-    """The command for a robot that is still in the pose of the target, with these torques."""
-    quat = quat_mul(quat_from_rpy(np.array(rpy)), first.root_quat_wxyz)
+def at_rest(first, tau=0.0, quat=None):
+    quat = first.root_quat_wxyz if quat is None else quat
     imu = ImuReading(quat, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    measured = Reading(first.q, np.zeros(29), tau, imu)
+    return Reading(first.q, np.zeros(29), np.zeros(29) + tau, imu)
+
+
+def commanded(torques, first, tau, ramped=1.0, phase=Phase.RAMP):
+    """The command for a robot that is still in the pose of the target, with these torques."""
+    measured = at_rest(first, tau)
     torques.observe(phase, measured, 1.0)
     return torques.command(Moment(phase, ramped, first, measured, 0.0))
 
 
-def hanging_torque(first):
-    held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
-    held.begin("hanging", "hanging", None)
-    return held.command(Moment(Phase.RAMP, 0.5, first, reading_at_rest(first), 0.0)).tau
-
-
 @pytest.mark.parametrize("ramped", [0.5, 1.0])
 def test_in_the_air_it_has_the_torque_of_a_hanging_robot_and_waits(torques, first, ramped):
-    expected = hanging_torque(first)
+    held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
+    held.begin("hanging", "hanging", None)
+    expected = held.command(Moment(Phase.RAMP, 0.5, first, at_rest(first), 0.0)).tau
     for _ in range(20):
         command = commanded(torques, first, expected, ramped=ramped)
     assert command.tau == pytest.approx(expected, abs=0.1)
@@ -76,8 +61,7 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
             quat_from_rpy(np.array([0.0, 0.0, heading])), quat_from_rpy(np.array([0.05, 0.1, 0.0]))
         )
         tilted = first._replace(root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
-        imu = ImuReading(pitch, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-        measured = Reading(first.q, np.zeros(29), np.zeros(29), imu)
+        measured = at_rest(first, quat=pitch)
         torques.observe(Phase.RAMP, measured, 1.0)
         change = torques.command(Moment(Phase.RAMP, 0.5, tilted, measured, 0.0)).q - first.q
         for ankle in (LEFT, RIGHT):
@@ -89,7 +73,7 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
 def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, first):
     """At rest, with the torques that it asks for: what the feet carry grows to the weight."""
     standing = torques.balance
-    tau = standing.torque(first, reading_at_rest(first), 0.0, share=1.0)
+    tau = standing.torque(first, at_rest(first), 0.0, share=1.0)
     torques.ramp_to(first)
     for _ in range(round(0.9 / PERIOD)):
         command = commanded(torques, first, tau)
@@ -104,11 +88,6 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
     assert torques.awaited == ""
     assert commanded(torques, first, tau, phase=Phase.PLAY).q.tolist() == first.q.tolist()
     assert torques.fall == torques.fault == ""
-
-
-def reading_at_rest(first):
-    imu = ImuReading(first.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    return Reading(first.q, np.zeros(29), np.zeros(29), imu)
 
 
 def test_a_robot_that_a_simulator_holds_does_not_stand():

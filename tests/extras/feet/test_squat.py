@@ -1,22 +1,17 @@
-"""The way down into a squat: against kinematics, its own derivatives, and statics."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from g1stream.control.targets import Target
+from g1stream.control.schedule import Inputs, PhaseState, Schedule
+from g1stream.control.targets import Target, Targets, Timing
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
-from g1stream.extras.physics.example_motions import squatting
-from g1stream.extras.physics.stance import stand
-from g1stream.motion.readers import load_motion
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
+from g1stream.types import Phase
 
 ROBOT = G1.default()
 DYNAMICS = StandingDynamics(ROBOT)
 PERIOD = 0.002
+MS = 1_000_000
 
 
 def state_of(target):
@@ -24,9 +19,8 @@ def state_of(target):
 
 
 @pytest.fixture(scope="module")
-def standing():
-    trajectory = Trajectory(stand(squatting(2.0), ROBOT).motion)
-    return Target.from_point(1.0, trajectory.sample(1.0)).at_rest()
+def standing(squats):
+    return Target.from_point(1.0, squats.sample(1.0)).at_rest()
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +64,37 @@ def test_speeds_and_accelerations_are_the_derivatives_of_the_angles(way):
     assert np.abs(dq).max() > 0.1
 
 
-def test_there_is_no_way_down_while_a_foot_is_lifted():
-    """The demo lifts its right foot at 8.6 s, for 0.4 s."""
-    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
+def test_there_is_no_way_down_while_a_foot_is_lifted(demo):
     squat = Squat(ROBOT)
-    possible = [squat.possible(Target.from_point(t, trajectory.sample(t))) for t in (8.4, 8.7, 9.2)]
+    possible = [squat.possible(Target.from_point(t, demo.sample(t))) for t in (8.4, 8.7, 9.2)]
     assert possible == [True, False, True]
+
+
+def test_a_run_that_ends_while_ramp_waits_for_the_feet_squats_down(squats):
+    timing = Timing(
+        wait=0, ramp=500 * MS, play=1000 * MS, hold=500 * MS, damp=100 * MS, way_down=2000 * MS
+    )
+    targets = Targets(squats, start=0.0, way_down=Squat(ROBOT))
+    schedule = Schedule(targets, timing, 2 * MS)
+    schedule.state = PhaseState(Phase.RAMP, 0)
+    schedule.begin_ramp(targets.first.q)
+
+    def go(now, last):
+        schedule.wait_in_ramp(now, "the feet")
+        schedule.advance(now, Inputs())
+        return schedule.target(now, last)
+
+    for now in range(0, 600 * MS, 2 * MS):
+        go(now, targets.first)
+    assert schedule.state.phase is Phase.RAMP
+    before, phases = schedule.first, []
+    for now in range(600 * MS, 4000 * MS, 2 * MS):
+        assert schedule.go_down(now, "asked", before, stands=now < 700 * MS)
+        target = go(now, before)
+        phases.append(schedule.state.phase)
+        assert target.q == pytest.approx(before.q, abs=0.01)
+        before = target
+    assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.HOLD, Phase.DAMP, Phase.DONE]
+    assert phases.count(Phase.RAMP) <= 101  # it waits no longer than it takes to end at rest
+    assert schedule.state.reason == "asked"
+    assert before.root_pos[2] < schedule.first.root_pos[2] - 0.1

@@ -1,7 +1,3 @@
-"""The equations of a standing robot, against MuJoCo's own forward dynamics."""
-
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

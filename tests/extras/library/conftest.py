@@ -1,7 +1,3 @@
-"""Small libraries of real motions."""
-
-from __future__ import annotations
-
 import pytest
 
 import g1stream
@@ -31,16 +27,11 @@ def checked(motions, tmp_path_factory):
     return run, out
 
 
-@pytest.fixture
-def cuts(tmp_path):
-    """Makes a directory with so many different motions of two seconds."""
-
-    def make(number):
-        directory = tmp_path / "many"
-        directory.mkdir()
-        demo = g1stream.load_motion("demo")
-        for i in range(number):
-            demo.trim(0.1 * i, 0.1 * i + 2.0).save(directory / f"{i:02}.npz")
-        return directory
-
-    return make
+@pytest.fixture(scope="session")
+def many(tmp_path_factory):
+    """A directory with 40 different motions of a second."""
+    directory = tmp_path_factory.mktemp("many")
+    demo = g1stream.load_motion("demo")
+    for i in range(40):
+        demo.trim(0.1 * i, 0.1 * i + 1.0).save(directory / f"{i:02}.npz")
+    return directory

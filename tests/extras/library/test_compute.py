@@ -1,7 +1,3 @@
-"""What `simulate` and `convert` make of a motion, and the values of a sweep."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,11 +9,12 @@ from g1stream.errors import ConfigError
 from g1stream.extras.library.files import find_motions
 from g1stream.extras.library.library_cli import swept
 
+SHORT = {"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
+
 
 @pytest.mark.slow
 def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
-    path = motions / "first.npz"
-    config = load_config(over={"stream.ramp": 1.0})
+    path, config = motions / "first.npz", load_config(over=SHORT)
     cases = [
         g1stream.LibraryCase("simulate", tmp_path, settings, "bolted", values, sessions=True)
         for values, settings in swept(config, ["gains.kp=0.5,1"])
@@ -39,25 +36,16 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
     for name, one in metrics.tracking.joints.items():
         assert joints.loc[name, "rmse"] == one.rmse_rad
         assert joints.loc[name, "torque_p99"] == metrics.torque.joints[name].p99_nm
+    # What is recorded changes nothing.
+    bare = g1stream.LibraryCase("simulate", tmp_path / "bare", config, "bolted")
+    g1stream.run_library([str(path)], [bare], workers=1)
+    (other,) = g1stream.open_library(bare.out).motions.to_dict("records")
+    for name in ("rmse", "p99", "delay", "mpjpe", "mpjpe_root", "torque_rms", "power", "success"):
+        assert other[name] == pytest.approx(row[name], rel=1e-12, nan_ok=True)
+    assert pd.isna(other["output"])
     session = g1stream.open_session(tmp_path / row["output"])
     assert session.metrics().tracking.all_joints.rmse_rad == row["rmse"]
     assert (tmp_path / row["report"]).read_text().startswith("<!doctype html>")
-
-
-@pytest.mark.slow
-def test_what_is_recorded_changes_nothing(motions, tmp_path):
-    short = load_config(over={"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5})
-    cases = [
-        g1stream.LibraryCase("simulate", tmp_path / name, short, "bolted", sessions=sessions)
-        for name, sessions in (("kept", True), ("not", False))
-    ]
-    rows = []
-    for case in cases:
-        g1stream.run_library([str(motions / "first.npz")], [case], workers=1)
-        rows.append(g1stream.open_library(case.out).motions.iloc[0])
-    for name in ("rmse", "p99", "delay", "mpjpe", "mpjpe_root", "torque_rms", "power", "success"):
-        assert rows[0][name] == pytest.approx(rows[1][name], rel=1e-12, nan_ok=True)
-    assert pd.isna(rows[1]["output"])
 
 
 @pytest.mark.slow
@@ -73,34 +61,20 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["csv", "mcap"])
-def test_converted_files_are_the_same_motions(motions, tmp_path, suffix):
-    case = g1stream.LibraryCase("convert", tmp_path, format=suffix)
-    run = g1stream.run_library([str(motions)], [case], workers=1)
-    assert (run.done, run.failed) == (4, 1)
-    for row in g1stream.open_library(tmp_path).motions.to_dict("records"):
-        if row["status"] == "ok":
-            before, after = map(g1stream.load_motion, (row["path"], tmp_path / row["output"]))
-            assert np.abs(before.joint_pos - after.joint_pos).max() < 1e-6
-            assert after.n_frames == before.n_frames == row["frames"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "fps"), [("sonic", 50.0), ("gmr", 30.0)])
-def test_a_dataset_in_the_format_of_another_program(motions, tmp_path, name, fps):
-    """What is written is a library of motions again."""
+@pytest.mark.parametrize(("name", "fps"), [("csv", 30.0), ("mcap", 30.0), ("sonic", 50.0)])
+def test_converted_files_are_a_library_of_the_same_motions(motions, tmp_path, name, fps):
     case = g1stream.LibraryCase("convert", tmp_path, format=name)
     run = g1stream.run_library([str(motions)], [case], workers=1)
     assert (run.done, run.failed) == (4, 1)
-    rows = g1stream.open_library(tmp_path).motions.to_dict("records")
-    outputs = {str(tmp_path / row["output"]) for row in rows if row["status"] == "ok"}
+    rows = g1stream.open_library(tmp_path).motions
+    outputs = {}
+    for row in rows[rows["status"] == "ok"].to_dict("records"):
+        before, path = g1stream.load_motion(row["path"]), tmp_path / row["output"]
+        after, outputs[str(path)] = g1stream.load_motion(path), row
+        assert (after.fps, row["frames"]) == (fps, before.n_frames)
+        assert np.abs(before.resample(fps).joint_pos - after.joint_pos).max() < 1e-6
     assert len(outputs) == 3
-    assert set(find_motions([str(tmp_path / "converted")])) == outputs
-    for row in rows:
-        if row["status"] == "ok":
-            before, after = map(g1stream.load_motion, (row["path"], tmp_path / row["output"]))
-            assert after.fps == fps
-            assert np.abs(before.resample(fps).joint_pos - after.joint_pos).max() < 1e-6
+    assert set(find_motions([str(tmp_path / "converted")])) == {*outputs}
 
 
 def test_every_combination_of_a_sweep():
@@ -121,13 +95,26 @@ def test_every_combination_of_a_sweep():
 
 
 @pytest.mark.parametrize(
-    "sweep", ["speed=1", "stream.rate", "stream.rate=1,fast", "stream.rate=1", "gains.kp=much"]
+    "sweeps",
+    [
+        *(["speed=1"], ["stream.rate"], ["stream.rate=1,fast"], ["stream.rate=1"]),
+        *(["gains.kp=much"], ["stream.rate=250", "stream.rate=500"]),
+    ],
 )
-def test_what_is_no_sweep(sweep):
+def test_what_is_no_sweep(sweeps):
     with pytest.raises(ConfigError):
-        list(swept(Config(), [sweep]))
+        list(swept(Config(), sweeps))
 
 
-def test_a_setting_is_swept_once():
-    with pytest.raises(ConfigError):
-        list(swept(Config(), ["stream.rate=250", "stream.rate=500"]))
+def test_a_row_depends_on_the_content_of_the_parameters(tmp_path):
+    def fingerprint(content, name, command="simulate"):
+        (tmp_path / name).write_text(content)
+        config = load_config(over={"params": tmp_path / name if content else None})
+        return g1stream.LibraryCase(command, tmp_path, config, "bolted").fingerprint
+
+    first, other = "[friction]\nlegs = 0.3\n", "[friction]\nlegs = 0.4\n"
+    assert fingerprint(first, "a.toml") == fingerprint(first, "b.toml")
+    assert fingerprint(first, "a.toml") != fingerprint(other, "c.toml")
+    assert fingerprint(first, "a.toml") != fingerprint("", "none")
+    assert fingerprint(first, "a.toml", "check") != fingerprint(other, "c.toml", "check")
+    assert fingerprint(first, "a.toml", "convert") == fingerprint("", "none", "convert")

@@ -1,7 +1,3 @@
-"""What is found below paths and URLs."""
-
-from __future__ import annotations
-
 import os
 import tempfile
 import threading
@@ -15,27 +11,20 @@ import pytest
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.extras.library.files import content_hash, find_motions, local_copy
 
+NAMES = ["broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz"]
 
-def test_motions_below_a_directory(motions):
+
+def test_motions_below_a_directory_and_a_named_file_whatever_its_name(motions, checked):
     found = find_motions([str(motions), str(motions / "first.npz")])
-    names = [path.removeprefix(f"{motions}/") for path in found]
-    assert names == ["broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz"]
-
-
-def test_a_named_file_is_taken_whatever_its_name(motions):
+    assert [path.removeprefix(f"{motions}/") for path in found] == NAMES
     assert find_motions([str(motions / "notes.txt")]) == [str(motions / "notes.txt")]
+    assert find_motions([str(checked[1])]) == []  # a library
 
 
 def test_urls_are_those_of_fsspec(motions):
     pytest.importorskip("fsspec")
     found = find_motions([f"file://{motions}"])
-    assert {url.rpartition("/")[2] for url in found} == {
-        "broken.csv",
-        "first.npz",
-        "second.csv",
-        "copy.npz",
-        "third.npz",
-    }
+    assert {url.removeprefix(f"file://{motions}/") for url in found} == {*NAMES}
     (url,) = find_motions([f"file://{motions}/first.npz"])
     with local_copy(url) as path:
         assert path.name == "first.npz"
@@ -57,10 +46,7 @@ def served(motions):
 
 
 def test_motions_on_a_web_server(motions, served):
-    assert set(find_motions([f"{served}/"])) == {
-        f"{served}/{name}"
-        for name in ("broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz")
-    }
+    assert set(find_motions([f"{served}/"])) == {f"{served}/{name}" for name in NAMES}
     with local_copy(f"{served}/first.npz") as path:
         assert path.read_bytes() == (motions / "first.npz").read_bytes()
     with pytest.raises(ConfigError):
@@ -111,7 +97,3 @@ def test_a_recording_in_parts_is_one_motion(tmp_path):
 def test_places_that_do_not_exist(place):
     with pytest.raises(ConfigError):
         find_motions([place])
-
-
-def test_a_library_is_no_motion(checked):
-    assert find_motions([str(checked[1])]) == []

@@ -1,11 +1,5 @@
-"""The page of a library, as data and in a real browser."""
-
-from __future__ import annotations
-
 import json
 import re
-import shutil
-import subprocess
 from html import unescape
 from pathlib import Path
 
@@ -13,8 +7,6 @@ import pytest
 
 from g1stream.extras.library.page import write_page
 from g1stream.extras.library.table import MotionRow, Rows, writing
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 #: Sorts, filters and asks the page for what a reader sees.
 PROBE = """<script>
@@ -61,80 +53,57 @@ def library(tmp_path):
     return tmp_path
 
 
-def data_of(page):
-    text = page.read_text()
-    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', text)
-    return json.loads(data)
+def table_of(page, command="check"):
+    """Its columns, and its rows as dictionaries."""
+    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', page.read_text())
+    table = json.loads(data)[command]
+    names = [column["name"] for column in table["columns"]]
+    return table["columns"], [dict(zip(names, row, strict=True)) for row in table["rows"]]
 
 
-def test_the_worst_is_first(library):
-    check = data_of(write_page(library))["check"]
-    columns = [column["name"] for column in check["columns"]]
-    assert columns == [
+def test_the_worst_is_first_and_it_needs_no_network(library):
+    page = write_page(library)
+    assert "http" not in page.read_text().replace("http://www.w3.org/2000/svg", "")
+    columns, rows = table_of(page)
+    units = {column["name"]: column["unit"] for column in columns}
+    assert [*units] == [
         *("picture", "name", "status", "reason"),
         *("bolted", "free", "max_speed", "path"),
     ]
-    names = [row[columns.index("name")] for row in check["rows"]]
-    assert names == ["gone", "wave", "stand <b>&amp;"]
-    speed = next(column for column in check["columns"] if column["name"] == "max_speed")
-    assert speed["unit"] == "rad/s"
-    assert [row[columns.index("max_speed")] for row in check["rows"]] == [None, 3.0, 1.0]
+    assert units["max_speed"] == "rad/s"
+    found = [(row["name"], row["max_speed"]) for row in rows]
+    assert found == [("gone", None), ("wave", 3.0), ("stand <b>&amp;", 1.0)]
 
 
 def test_files_of_one_name_are_told_apart(tmp_path):
     paths = ["/motions/day1/a/wave.csv", "/motions/day2/a/wave.csv", "/motions/walk.csv"]
     with writing(tmp_path) as writer:
-        writer.add(
-            [
-                Rows(
-                    motion=MotionRow(
-                        key=path, name=Path(path).stem, path=path, sha256=path, command="check"
-                    )
-                )
-                for path in paths
-            ]
-        )
-    check = data_of(write_page(tmp_path))["check"]
-    place = [column["name"] for column in check["columns"]].index("name")
-    names = {row[place] for row in check["rows"]}
-    assert names == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
+        for path in paths:
+            about = {"key": path, "name": Path(path).stem, "path": path, "sha256": path}
+            writer.add([Rows(motion=MotionRow(command="check", **about))])
+    _, rows = table_of(write_page(tmp_path))
+    assert {row["name"] for row in rows} == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
 
 
 def test_a_broken_file_has_the_reason_that_was_found_last(tmp_path):
     about = {"name": "gone", "path": "gone.csv", "sha256": "", "command": "simulate"}
     with writing(tmp_path) as writer:
         for variant, reason in (("bolted", "before"), ("free", "now")):
-            motion = MotionRow(
-                key=variant, variant=variant, status="broken", reason=reason, **about
-            )
-            writer.add([Rows(motion=motion)])
-    simulate = data_of(write_page(tmp_path))["simulate"]
-    place = [column["name"] for column in simulate["columns"]].index("reason")
-    assert [row[place] for row in simulate["rows"]] == ["now"]
-
-
-def test_it_needs_no_network(library):
-    text = write_page(library).read_text()
-    assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
+            about |= {"key": variant, "variant": variant, "status": "broken", "reason": reason}
+            writer.add([Rows(motion=MotionRow(**about))])
+        played = MotionRow(key="1", name="walk", path="walk.csv", sha256="1", command="simulate")
+        writer.add([Rows(motion=played, sweep={"stream.rate": 500.0})])
+    _, rows = table_of(write_page(tmp_path), "simulate")
+    found = [(row["reason"], row["stream.rate"]) for row in rows]
+    assert found == [("now", None), (None, 500.0)]
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-def test_it_sorts_and_filters_in_a_browser(library, tmp_path):
+def test_it_sorts_and_filters_in_a_browser(library, chromium):
     page = write_page(library)
     page.write_text(page.read_text().replace("</body>", PROBE))
-    done = subprocess.run(
-        [
-            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"),
-            *(f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=170,
-        check=True,
-    )
-    assert "CONSOLE" not in done.stderr
-    seen = json.loads(unescape(re.search(r'<pre id="seen">(.+)</pre>', done.stdout)[1]))
+    shown = chromium("--dump-dom", page.as_uri())
+    seen = json.loads(unescape(re.search(r'<pre id="seen">(.+)</pre>', shown)[1]))
     assert seen["heads"][:4] == ["picture", "name", "status", "bolted"]
     assert seen["reasons"] == ["</script><script>alert(1)</script>"]
     assert seen["tooltips"] == ["gone.csv", "wave.csv", "stand <b>&amp;.csv"]

@@ -1,7 +1,3 @@
-"""Rows of motions that learned policies play."""
-
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -61,13 +57,10 @@ def test_a_policy_is_another_one_when_a_file_of_it_changes(file, changed):
     assert after.fingerprint != known[2]
 
 
-def test_a_policy_is_the_same_elsewhere(file):
+def test_a_policy_is_the_same_elsewhere(file, tmp_path):
     first, second = case(file("a/walk.onnx")), case(file("b/walk.onnx"))
     assert first.fingerprint == second.fingerprint
     assert first.fingerprint != case(file("a/walk.onnx"), **{"sim.push": 0.5}).fingerprint
-
-
-def test_a_policy_that_cannot_be_read(tmp_path):
     with pytest.raises(ConfigError):
         case(tmp_path / "none.onnx").variant  # noqa: B018
 
@@ -115,8 +108,8 @@ def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_pat
 @needs_policies
 def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
     path = tmp_path / "dance.npz"
-    g1stream.load_motion(DANCE).trim(0.0, 1.0).save(path)
-    short = {"stream.ramp": 1.0, "stream.stand": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
+    g1stream.load_motion(DANCE).trim(0.0, 0.5).save(path)
+    short = {"stream.ramp": 0.5, "stream.stand": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
     one = case(HOLOSOMA, tmp_path / "out", **short)
     run = g1stream.run_library([str(path)], [one], workers=1)
     assert (run.done, run.failed) == (1, 0)
@@ -125,7 +118,7 @@ def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
     metrics, summary = session.metrics(), session.summary()
     assert (row["policy"], row["support"]) == ("holosoma_dance1_subject2", "free")
     assert row["success_sonic"] is metrics.success.success_sonic is True
-    assert row["survived"] == summary.termination.played_s == pytest.approx(3.5, abs=0.05)
+    assert row["survived"] == summary.termination.played_s == pytest.approx(3.0, abs=0.05)
     assert row["mae"] == metrics.tracking.all_joints.mae_rad
     assert row["e_vel"] == metrics.body.world.vel_mm_per_frame
     assert row["e_acc"] == metrics.body.world.acc_mm_per_frame2

@@ -1,13 +1,8 @@
-"""The tables: complete at any time, newest rows first, one writer."""
-
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 from pyarrow import parquet
 
-import g1stream
 from g1stream.errors import RecordingError
 from g1stream.extras.library import table
 from g1stream.extras.library.table import (
@@ -47,9 +42,9 @@ def test_a_newer_row_replaces_an_older_one(tmp_path):
         writer.add([rows(key="old", max_tilt=0.1), rows("walk", "2")])
         writer.add([rows(key="new", max_tilt=0.2)])
     library = open_library(tmp_path)
-    assert dict(zip(library.motions["name"], library.motions["max_tilt"], strict=True)) == {
-        "walk": pytest.approx(np.nan, nan_ok=True),
-        "wave": 0.2,
+    assert dict(zip(library.motions["name"], library.motions["key"], strict=True)) == {
+        "walk": "2",
+        "wave": "new",
     }
     assert set(library.joints["key"]) == {"new", "2"}
 
@@ -64,24 +59,29 @@ def test_sweeps_have_columns_of_their_own(tmp_path):
     assert motions["stream.feedforward"].iloc[1] == "none"
 
 
-def test_many_parts_become_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "_MOST_PARTS", 4)
-    with writing(tmp_path) as writer:
-        for i in range(10):
-            writer.add([rows(f"motion {i}", str(i))])
-            assert len(list((tmp_path / "motions").glob("part-*"))) < 4
-    assert list(open_library(tmp_path).motions["key"]) == [str(i) for i in range(10)]
-
-
-def test_parts_that_are_not_small_stay(tmp_path, monkeypatch):
+def test_small_parts_become_one(tmp_path, monkeypatch):
     monkeypatch.setattr(table, "_MOST_PARTS", 3)
     monkeypatch.setattr(table, "_SMALL", 2)
     with writing(tmp_path) as writer:
         for i in range(5):
             writer.add([rows(f"{name} {i}", f"{name} {i}") for name in ("wave", "walk")])
+        for i in range(7):
+            writer.add([rows(f"motion {i}", str(i))])
+            assert len(list((tmp_path / "motions").glob("part-*"))) <= 5 + 3
+    keys = [f"{name} {i}" for i in range(5) for name in ("wave", "walk")]
+    assert list(open_library(tmp_path).motions["key"]) == [*keys, *map(str, range(7))]
+    assert (tmp_path / "motions" / "part-000005.parquet").exists()
+
+
+def test_there_is_one_writer_and_what_a_killed_one_left_is_removed(tmp_path):
+    with writing(tmp_path), pytest.raises(RecordingError), writing(tmp_path):
+        pass
+    left = tmp_path / "motions" / ".part-000009.parquet.123.part"
+    left.write_bytes(b"PAR1")
+    with writing(tmp_path) as writer:
+        assert not left.exists()
         writer.add([rows()])
-        parts = sorted(part.stem for part in (tmp_path / "motions").glob("part-*"))
-        assert parts == [f"part-{i:06}" for i in range(1, 7)]
+    assert len(open_library(tmp_path).motions) == 1
 
 
 def test_a_condition_takes_numbers_and_answers():
@@ -99,50 +99,33 @@ def test_columns_have_units_and_types_for_every_reader(tmp_path):
     schema = parquet.read_schema(part)
     assert schema.names == list(MotionRow.model_fields)
     assert schema.field("max_tilt").metadata[b"unit"] == b"rad"
-    assert str(schema.field("max_tilt").type) == "double"
-    assert str(schema.field("success").type) == "bool"
-    assert str(schema.field("bolted").type) == "string"
+    types = [str(schema.field(name).type) for name in ("max_tilt", "success", "bolted")]
+    assert types == ["double", "bool", "string"]
     assert str(pd.read_parquet(part)["frames"].dtype) in ("Int64", "float64", "object")
 
 
 def test_what_need_not_be_computed(tmp_path):
     with writing(tmp_path) as writer:
-        writer.add([rows(key="ok"), rows("b", "broken", status="broken")])
-        writer.add([rows("c", "slow", status="slow", limits="1 s, 10 MB")])
-        writer.add([rows("d", "error", status="error")])
+        for status in ("ok", "broken", "slow", "error"):
+            writer.add([rows(status, status, status=status, limits="1 s, 10 MB")])
     with writing(tmp_path) as writer:
-        assert writer.has("ok", "5 s, 10 MB")
-        assert writer.has("broken", "5 s, 10 MB")
-        assert writer.has("slow", "1 s, 10 MB")
-        assert not writer.has("slow", "5 s, 10 MB")
-        assert not writer.has("error", "1 s, 10 MB")
-        assert not writer.has("unknown", "1 s, 10 MB")
+        for limits, known in (("1 s, 10 MB", ["ok", "broken", "slow"]), ("5 s", ["ok", "broken"])):
+            found = ("ok", "broken", "slow", "error", "unknown")
+            assert [status for status in found if writer.has(status, limits)] == known
 
 
-def test_what_a_killed_writer_left_is_removed(tmp_path):
-    with writing(tmp_path) as writer:
-        writer.add([rows()])
-    left = tmp_path / "motions" / ".part-000009.parquet.123.part"
-    left.write_bytes(b"PAR1")
-    with writing(tmp_path):
-        assert not left.exists()
-    assert len(open_library(tmp_path).motions) == 1
-
-
-def test_there_is_one_writer(tmp_path):
-    with writing(tmp_path), pytest.raises(RecordingError), writing(tmp_path):
-        pass
-
-
-def test_no_library_and_a_damaged_one(tmp_path):
+@pytest.mark.parametrize("name", ["motions", "joints"])
+def test_no_library_and_a_damaged_one(tmp_path, name):
     with pytest.raises(RecordingError):
         open_library(tmp_path)
     with writing(tmp_path) as writer:
         writer.add([rows()])
-    (part,) = (tmp_path / "motions").glob("*.parquet")
+    (part,) = (tmp_path / name).glob("*.parquet")
     part.write_bytes(part.read_bytes()[:100])
-    with pytest.raises(RecordingError):
-        g1stream.open_library(tmp_path)
+    with pytest.raises(RecordingError, match=part.name):
+        open_library(tmp_path)
+    with pytest.raises(RecordingError, match=part.name), writing(tmp_path) as writer:
+        writer.add([rows(key="2")])
 
 
 def test_a_setting_with_words_in_one_run_and_numbers_in_another_is_words(tmp_path):

@@ -1,7 +1,3 @@
-"""Soles on a floor: against figures by hand, and MuJoCo's Jacobians."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -21,33 +17,12 @@ from g1stream.robot.soles import Soles
 
 RNG = np.random.default_rng(3)
 SQUARE = np.array([(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)], dtype=float)
-ALL = np.ones((1, 4), bool)
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return G1.default()
-
-
-@pytest.fixture(scope="module")
-def soles(robot):
-    return Soles(robot)
-
-
-def poses_of(robot, joint_pos, root_pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
-    return forward_kinematics(robot, np.atleast_2d(joint_pos), np.array(root_pos), np.array(quat))
-
-
-def pushes(corners, force, moment):
-    """Forces on corners that all touch the floor, in one frame."""
-    return floor_forces(corners[None], np.ones((1, len(corners)), bool), force[None], moment[None])[
-        0
-    ]
-
-
-def test_corners_are_the_spheres_of_unitrees_model(robot, soles):
+def test_corners_are_the_spheres_of_unitrees_model(robot):
     """They have a radius of 5 mm and are at x -0.05 and 0.12, y 0.025 and 0.03, z -0.03."""
-    poses = poses_of(robot, np.zeros(N_JOINTS))
+    soles, upright = Soles(robot), np.array([1.0, 0.0, 0.0, 0.0])
+    poses = forward_kinematics(robot, np.zeros((1, N_JOINTS)), np.zeros(3), upright)
     corners = soles.positions(poses).reshape(2, 4, 3) - poses.pos[0, soles.links, np.newaxis]
     spheres = [(0.12, 0.03, -0.03), (0.12, -0.03, -0.03), (-0.05, -0.025, -0.03)]
     spheres.append((-0.05, 0.025, -0.03))
@@ -56,13 +31,10 @@ def test_corners_are_the_spheres_of_unitrees_model(robot, soles):
     assert corners[..., 2] == pytest.approx(np.full((2, 4), -0.035), abs=1e-3)
 
 
-def test_a_robot_with_other_feet_is_refused(robot):
+def test_a_robot_with_other_feet_or_none_is_refused(robot):
     other = G1.from_urdf(robot.urdf.replace("ankle_roll_link", "foot"), "other.urdf")
     with pytest.raises(RobotError, match="left_foot"):
         Soles(other)
-
-
-def test_a_robot_without_joints_at_its_feet_is_refused():
     with pytest.raises(RobotError, match="g1_dual_arm"):
         Soles(G1.load("g1_dual_arm"))
 
@@ -82,15 +54,6 @@ def test_distance_from_any_polygon():
     assert (found > 0).sum() > 5
 
 
-def test_a_sliding_corner_has_its_speed():
-    times = np.arange(30) / 30
-    corners = np.zeros((30, 1, 3))
-    corners[:, 0, :2] = times[:, np.newaxis] * (0.03, 0.04)
-    touches, speed = touching(corners, 30.0)
-    assert touches.all()
-    assert speed == pytest.approx(np.full((30, 1), 0.05))
-
-
 def test_contact_ends_where_a_corner_is_clearly_off():
     heights = np.array([25, 25, 10, 25, 15, 34, 36, 34, 21, 19, 30]) * 1e-3
     corners = np.zeros((len(heights), 1, 3))
@@ -105,20 +68,9 @@ def test_the_zero_moment_point_is_where_the_force_acts():
     assert zero_moment_point(force, np.cross(point, force) + twist) == pytest.approx(point[:2])
 
 
-def test_forces_add_up_and_push_within_the_friction_cone():
-    corners = np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.5, 0, 0)])
-    point, force = np.array([0.2, 0.03, 0.0]), np.array([30.0, -40.0, 330.0])
-    moment = np.cross(point, force)
-    forces = pushes(corners, force, moment)
-    assert forces.sum(axis=0) == pytest.approx(force, rel=1e-5)
-    assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
-    assert (forces[:, 2] >= 0).all()
-    assert (np.hypot(*forces[:, :2].T) <= FRICTION * forces[:, 2] + 1e-9).all()
-
-
 def test_forces_of_many_frames_are_those_of_lawson_and_hanson():
     """Of feet that slip, tip, pull, stand on one corner or on none."""
-    n, rng = 300, np.random.default_rng(4)
+    n, rng = 150, np.random.default_rng(4)
     corners = np.tile(np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.4, 0, 0)]), (n, 1, 1))
     corners += 0.01 * rng.normal(size=corners.shape)
     touches = rng.random((n, 8)) < rng.random((n, 1))

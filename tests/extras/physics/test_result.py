@@ -1,5 +1,3 @@
-"""The records of a motion's physics: the answer of a verdict, the text, and JSON."""
-
 import os
 from pathlib import Path
 from typing import get_args
@@ -19,61 +17,31 @@ from g1stream.types import Support
 
 SNAPSHOT = Path(__file__).with_name("physics.txt")
 
-BRIEF = Excess(
-    cause="torque",
-    where="left_knee_joint",
-    worst=152.4,
-    limit=139.0,
-    unit="N·m",
-    frame=61,
-    time_s=61 / 30,
-    spans=((60, 62),),
-    longest_s=0.1,
-    forbids=False,
-)
-LASTING = BRIEF.model_copy(
-    update={
-        "cause": "friction",
-        "where": "",
-        "unit": "",
-        "worst": 1234.5,
-        "limit": 0.6,
-        "spans": tuple((10 * i, 10 * i + (i != 2)) for i in range(6)),
-        "forbids": True,
-    }
-)
+AT = {"frame": 61, "time_s": 61 / 30}
+TORQUE = {"cause": "torque", "where": "left_knee_joint", "unit": "N·m", "worst": 152.4}
+BRIEF = Excess(**TORQUE, **AT, limit=139.0, spans=((60, 62),), longest_s=0.1, forbids=False)
+FRICTION = {"cause": "friction", "where": "", "unit": "", "worst": 1234.5, "limit": 0.6}
+SPANS = tuple((10 * i, 10 * i + (i != 2)) for i in range(6))
+LASTING = BRIEF.model_copy(update=FRICTION | {"spans": SPANS, "forbids": True})
 PEAKS = tuple(
-    TorquePeak(joint=joint, torque_nm=tau, limit_nm=139, frame=61, time_s=61 / 30, frames=frames)
+    TorquePeak(joint=joint, torque_nm=tau, limit_nm=139, frames=frames, **AT)
     for joint, tau, frames in (("left_knee_joint", -152.4, 3), ("right_knee_joint", 90.0, 0))
 )
-DEEP = Collision(
-    link="torso_link",
-    other="left_rubber_hand",
-    depth_mm=12.34,
-    frame=61,
-    time_s=61 / 30,
-    spans=((60, 62), (70, 70)),
-    simulated=False,
-)
+LINKS = {"link": "torso_link", "other": "left_rubber_hand"}
+DEEP = Collision(**LINKS, depth_mm=12.34, **AT, spans=((60, 62), (70, 70)), simulated=False)
+SKATING = {"skating_mm_s": 33.3, "skating_max_mm_s": 444.4, "skating_max_frame": 8}
+CONTACT = {"contact_share": 0.5, "height_mm": 4.2}
 FOOT = Foot(
-    link="left_ankle_roll_link",
-    contact_share=0.5,
-    height_mm=4.2,
-    penetration_mm=12.0,
-    penetration_frame=7,
-    skating_mm_s=33.3,
-    skating_max_mm_s=444.4,
-    skating_max_frame=8,
+    link="left_ankle_roll_link", penetration_mm=12.0, penetration_frame=7, **CONTACT, **SKATING
 )
 AIRBORNE = FOOT.model_copy(
-    update={
-        "contact_share": 0.0,
-        "height_mm": None,
-        "skating_mm_s": None,
-        "skating_max_mm_s": None,
-        "skating_max_frame": None,
-    }
+    update={"contact_share": 0.0, "height_mm": None, **dict.fromkeys(SKATING)}
 )
+EXCESSES = {"hanging": (BRIEF,), "follow": (BRIEF,), "free": (LASTING, BRIEF)}
+VERDICTS = {
+    support: Verdict(support=support, excesses=EXCESSES.get(support, ()))
+    for support in ("bolted", "hanging", "follow", "free")
+}
 PHYSICS = MotionPhysics(
     motion="hop",
     frames=100,
@@ -81,10 +49,7 @@ PHYSICS = MotionPhysics(
     robot="g1_29dof",
     mass_kg=33.34,
     verdicts={
-        "bolted": Verdict(support="bolted"),
-        "hanging": Verdict(support="hanging", excesses=(BRIEF,)),
-        "follow": Verdict(support="follow", excesses=(BRIEF,)),
-        "free": Verdict(support="free", excesses=(LASTING, BRIEF)),
+        **VERDICTS,
         "feet": Verdict(support="feet", refused="the left foot slides in frames 0 to 3."),
     },
     tilt_rad=0.4,
@@ -97,18 +62,10 @@ PHYSICS = MotionPhysics(
     collisions=(DEEP,) * 12,
     torques={"bolted": PEAKS, "free": PEAKS},
 )
-YES = PHYSICS.model_copy(
-    update={
-        "verdicts": {
-            **{support: Verdict(support=support) for support in get_args(Support)},
-            "feet": Verdict(support="feet", changed="as it is"),
-        },
-        "collisions": (),
-        "inside_share": None,
-        "margin_mm": None,
-        "margin_frame": None,
-    }
-)
+GOOD = {support: Verdict(support=support) for support in get_args(Support)}
+GOOD["feet"] = Verdict(support="feet", changed="as it is")
+NOTHING = dict.fromkeys(("inside_share", "margin_mm", "margin_frame"))
+YES = PHYSICS.model_copy(update={"verdicts": GOOD, "collisions": (), **NOTHING})
 
 
 def test_the_text_is_the_snapshot():

@@ -1,7 +1,3 @@
-"""A motion with planted feet: against kinematics, dynamics and the limits of the soles."""
-
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -39,16 +35,20 @@ def squat():
     return squatting(4.0)
 
 
-def test_the_feet_stand_still_and_flat_on_the_floor(squat):
-    corners = corners_of(stand(squat, ROBOT).motion)
+@pytest.fixture(scope="module")
+def standing(squat):
+    return stand(squat, ROBOT)
+
+
+def test_the_feet_stand_still_and_flat_on_the_floor(squat, standing):
+    corners = corners_of(standing.motion)
     assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
     assert corners[..., 2].min() == pytest.approx(0.0, abs=1e-5)
     assert corners[..., 2].max() == pytest.approx(0.0, abs=1e-3)  # a corner is 0.7 mm higher
     assert touching(corners, squat.fps)[0].all()
 
 
-def test_only_the_legs_are_changed_and_little(squat):
-    standing = stand(squat, ROBOT)
+def test_only_the_legs_are_changed_and_little(squat, standing):
     change = np.abs(standing.motion.joint_pos - squat.joint_pos)
     assert change[:, 12:].max() == 0.0
     assert np.degrees(change.max()) == pytest.approx(standing.joint_deg)
@@ -58,10 +58,9 @@ def test_only_the_legs_are_changed_and_little(squat):
     assert np.array_equal(standing.motion.root_quat_wxyz, squat.root_quat_wxyz)
 
 
-def test_a_motion_that_stands_is_played_as_it_is(squat):
-    standing = stand(stand(squat, ROBOT).motion, ROBOT)
-    assert not str(standing)
-    assert not re.search(r"\b0 mm", str(stand(squat, ROBOT)))
+def test_a_motion_that_stands_is_played_as_it_is(standing):
+    assert not str(stand(standing.motion, ROBOT))
+    assert not re.search(r"\b0 mm", str(standing))
 
 
 def test_stretched_legs_are_bent():
@@ -90,13 +89,6 @@ def test_the_mass_is_kept_over_the_soles():
     assert beyond_support(centre[np.newaxis, :2], corners, np.ones((1, 8), bool)) < -0.015
 
 
-def test_a_hop_is_refused_with_its_frames(squat):
-    root = squat.root_pos.copy()
-    root[50:60, 2] += 0.2
-    with pytest.raises(MotionError, match="no foot is on the floor in frames 50 to 59"):
-        stand(Motion.from_arrays(squat.joint_pos, root, fps=squat.fps), ROBOT)
-
-
 def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
     time = np.arange(200) / 50.0
     bend = 0.9 - 0.7 * np.cos(6.0 * np.pi * time)
@@ -110,10 +102,8 @@ def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
         stand(replace(in_air, root_pos=in_air.root_pos - [0.0, 0.0, 1.0] * lowest), ROBOT)
 
 
-def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood():
-    demo = load_motion("demo")
-    motion = stand(demo, ROBOT).motion
-    feet = corners_of(motion).reshape(-1, 2, 4, 3)
+def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood(standing_demo):
+    feet = corners_of(standing_demo.motion).reshape(-1, 2, 4, 3)
     up = feet[..., 2].min(axis=2) > OFF_FLOOR
     assert not up.all(axis=1).any()
     assert [np.count_nonzero(np.diff(one.astype(int)) == 1) for one in up.T] == [2, 2]
@@ -150,19 +140,6 @@ def test_a_foot_that_steps_stands_where_the_motion_puts_it():
         assert np.ptp(stood, axis=0) == pytest.approx(np.zeros(3), abs=1e-4)
 
 
-def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
-    with pytest.raises(
-        MotionError, match=r"both feet are lifted within 0\.1 s in frames \d+ to \d+"
-    ):
-        stand(stepping(STEPS, period=0.3, swing=0.4), ROBOT)
-
-
-def test_a_step_too_long_for_the_mass_is_refused_with_its_frames():
-    far = [(0.3, 0.0, 0.0), (0.3, 0.0, 0.0)]
-    with pytest.raises(MotionError, match=r"centre of pressure cannot be kept .* in frames? \d+"):
-        stand(stepping(far), ROBOT)
-
-
 def test_arms_play_on_legs_that_stand(squat):
     """Of a motion that turns and walks, the arms and the waist are left."""
     walking = Motion.from_arrays(
@@ -176,14 +153,6 @@ def test_arms_play_on_legs_that_stand(squat):
     standing = stand(changed, ROBOT)
     assert standing.lowered_mm == 0.0
     assert corners_of(standing.motion)[..., 2].min() == pytest.approx(0.0, abs=1e-5)
-
-
-def test_a_motion_that_ends_on_one_foot_is_refused():
-    demo = load_motion("demo")
-    with pytest.raises(
-        MotionError, match=r"lifted at the beginning or the end, in frames 57 to 62\."
-    ):
-        stand(demo.frames(200, 263), ROBOT)
 
 
 def test_an_error_has_all_frames_that_forbid_a_motion(squat):
@@ -224,15 +193,9 @@ def test_arms_that_jump_within_a_frame_do_not_tip_the_robot():
     assert stand(jumping(0.25), ROBOT).shifted_mm == pytest.approx(0.0, abs=5.0)
 
 
-@pytest.mark.parametrize(("jump", "frames"), [(1.0, "in frame 30"), (2.0, "in frames 29 to 31")])
-def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
-    with pytest.raises(MotionError, match=f"the feet slip .* {frames}"):
-        stand(jumping(jump), ROBOT)
-
-
-def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame():
+def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame(standing_demo):
     """Also in frames that the last attempts left as they were: MuJoCo computes all of them."""
-    motion = stand(load_motion("demo"), ROBOT).motion
+    motion = standing_demo.motion
     dynamics, trajectory = InverseDynamics(ROBOT), Trajectory(motion)
     wrench = np.empty((motion.n_frames, 6))
     for k in range(motion.n_frames):
@@ -270,3 +233,26 @@ def test_legs_beyond_a_limit_are_refused_with_their_frames(squat):
         stand(deep, ROBOT)
     named = [int(number) for number in re.findall(r"\d+", raised.value.cause)]
     assert named == pytest.approx([beyond[0], beyond[-1]], abs=3)
+
+
+def hopping():
+    squat = squatting(2.0)
+    root = squat.root_pos.copy()
+    root[50:60, 2] += 0.2
+    return Motion.from_arrays(squat.joint_pos, root, fps=squat.fps)
+
+
+@pytest.mark.parametrize(
+    ("motion", "why"),
+    [
+        (hopping, "no foot is on the floor in frames 50 to 59"),
+        (lambda: stepping(STEPS, period=0.3, swing=0.4), r"both feet .* in frames \d+ to \d+"),
+        (lambda: stepping([(0.3, 0.0, 0.0)] * 2), r"centre of pressure .* in frames? \d+"),
+        (lambda: load_motion("demo").frames(200, 263), r"lifted at .* in frames 57 to 62\."),
+        (lambda: jumping(1.0), "the feet slip .* in frame 30"),
+        (lambda: jumping(2.0), "the feet slip .* in frames 29 to 31"),
+    ],
+)
+def test_what_cannot_be_played_is_refused_with_its_frames(motion, why):
+    with pytest.raises(MotionError, match=why):
+        stand(motion(), ROBOT)

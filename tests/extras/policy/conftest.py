@@ -1,5 +1,3 @@
-"""Writes small policies."""
-
 import onnx
 import pytest
 from onnx import helper
@@ -9,11 +7,14 @@ from known_policies import METADATA, network_of
 
 @pytest.fixture
 def policy(tmp_path):
-    """Write a policy: metadata over `METADATA`, None to leave one out, and the network's shape."""
+    """Write a policy: metadata over `METADATA` or `only` these, and the network's shape.
 
-    def write(told=None, **shape):
+    Metadata that are None are left out.
+    """
+
+    def write(told=None, only=None, **shape):
         model = network_of(**shape)
-        told = METADATA if told == "all" else METADATA | (told or {})
+        told = METADATA | (told or {}) if only is None else only
         helper.set_model_props(model, {k: v for k, v in told.items() if v is not None})
         onnx.save(model, path := tmp_path / "policy.onnx")
         return path

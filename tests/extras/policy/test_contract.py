@@ -1,5 +1,3 @@
-"""What a policy takes and gives is known before anything moves, or refused."""
-
 import json
 from contextlib import suppress
 
@@ -51,29 +49,36 @@ def test_a_toml_file_comes_first_and_its_patterns_are_put_over_each_other(policy
     assert contract.origin["rate"] == str(path.with_suffix(".toml"))
 
 
-def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(policy):
-    path = policy("all", width=61)
-    onnx.save(model := onnx.load(path), path)
-    del model.metadata_props[:]
-    onnx.save(model, path)
-    motors = [*range(28, -1, -1)]
-    values = {
-        "joint_ids_map": motors,
-        "step_dt": 0.02,
-        "stiffness": [float(motor) for motor in range(29)],
-        "damping": [1.0] * 29,
-        "default_joint_pos": [0.0] * 29,
-        "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.01] * 29}},
-        "observations": {
-            "base_ang_vel": {"scale": [0.2] * 3, "history_length": 1},
-            "joint_pos_rel": {"scale": None, "history_length": 1},
-            "last_action": {"history_length": 1},
-        },
+@pytest.fixture
+def deployed(policy):
+    """Write a policy beside a deploy.yaml with some observations, and joints in another order."""
+
+    def write(width, observations):
+        values = {
+            "joint_ids_map": [*range(28, -1, -1)],
+            "step_dt": 0.02,
+            "stiffness": [float(motor) for motor in range(29)],
+            "damping": [1.0] * 29,
+            "default_joint_pos": [0.0] * 29,
+            "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.01] * 29}},
+            "observations": observations,
+        }
+        path = policy(only={}, width=width)
+        path.with_name("deploy.yaml").write_text(json.dumps(values))
+        return path
+
+    return write
+
+
+def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(deployed):
+    observations = {
+        "base_ang_vel": {"scale": [0.2] * 3, "history_length": 1},
+        "joint_pos_rel": {"scale": None, "history_length": 1},
+        "last_action": {"history_length": 1},
     }
-    path.with_name("deploy.yaml").write_text(json.dumps(values))
-    contract = contract_of(path)
+    contract = contract_of(deployed(61, observations))
     assert contract.joint_names == list(JOINT_NAMES[::-1])
-    assert contract.kp == [float(motor) for motor in motors]
+    assert contract.kp == [float(motor) for motor in range(28, -1, -1)]
     assert contract.in_motor_order(contract.kp).tolist() == [float(m) for m in range(29)]
     assert contract.default_pos == [0.01] * 29
     assert [term.scale for term in contract.terms] == [[0.2] * 3, [1.0], [1.0]]
@@ -96,56 +101,29 @@ def test_histories_of_metadata_and_a_toml_file(policy, capsys):
     assert contract.history_start == "zeros"
     assert main(["policy", str(path)]) == 0
     assert "steps before the first one: zeros" in " ".join(capsys.readouterr().out.split())
-    for wrong in ("0", "true", "1.5", "1000", '"2"', "[1]"):
-        path.with_suffix(".toml").write_text(
-            f'[[terms]]\nname = "base_ang_vel"\nhistory = {wrong}\n'
-        )
-        with pytest.raises(ConfigError) as raised:
-            contract_of(path)
-        assert "history of base_ang_vel" in raised.value.cause
-    for wrong in ('"ones"', "0", '["zeros"]'):
-        path.with_suffix(".toml").write_text(f"history_start = {wrong}\n")
-        with pytest.raises(ConfigError) as raised:
-            contract_of(path)
-        assert "history_start" in raised.value.cause
-
-
-@pytest.fixture
-def deployed(policy):
-    """Write a policy of 6 values beside a deploy.yaml with some observations."""
-
-    def write(observations):
-        path = policy("all", width=6)
-        del (model := onnx.load(path)).metadata_props[:]
-        onnx.save(model, path)
-        values = {
-            "joint_ids_map": [*range(29)],
-            "step_dt": 0.02,
-            "stiffness": [40.0] * 29,
-            "damping": [1.0] * 29,
-            "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.0] * 29}},
-            "observations": observations,
-        }
-        path.with_name("deploy.yaml").write_text(json.dumps(values))
-        return path
-
-    return write
+    term = '[[terms]]\nname = "base_ang_vel"\nhistory = '
+    for told, values, named in (
+        (term, ("0", "true", "1.5", "1000", '"2"', "[1]"), "history of base_ang_vel"),
+        ("history_start = ", ('"ones"', "0", '["zeros"]'), "history_start"),
+    ):
+        for wrong in values:
+            path.with_suffix(".toml").write_text(f"{told}{wrong}\n")
+            with pytest.raises(ConfigError, match=named):
+                contract_of(path)
 
 
 def test_histories_of_a_deploy_yaml(deployed):
     term = {"base_ang_vel": {"scale": [0.2] * 3, "clip": None, "history_length": 2}}
-    contract = contract_of(deployed({"use_gym_history": False, "scale_first": True} | term))
+    contract = contract_of(deployed(6, {"use_gym_history": False, "scale_first": True} | term))
     assert [(one.size, one.history) for one in contract.terms] == [(6, 2)]
-    with pytest.raises(ConfigError) as raised:
-        contract_of(deployed({"use_gym_history": True} | term))
-    assert "use_gym_history" in raised.value.cause
+    with pytest.raises(ConfigError, match="use_gym_history"):
+        contract_of(deployed(6, {"use_gym_history": True} | term))
 
 
 def test_limits_of_a_single_term_are_refused(deployed):
-    path = deployed({"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}})
-    with pytest.raises(ConfigError) as raised:
+    path = deployed(6, {"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}})
+    with pytest.raises(ConfigError, match="base_ang_vel"):
         contract_of(path)
-    assert "base_ang_vel" in raised.value.cause
     path.with_suffix(".toml").write_text('[[terms]]\nname = "base_ang_vel"\nhistory = 2\n')
     assert contract_of(path).terms[0].history == 2
 
@@ -175,13 +153,8 @@ TRAINING = {
 
 
 def test_metadata_of_holosoma(policy):
-    path = policy("all", width=116)
-    model = onnx.load(path)
-    del model.metadata_props[:]
     told = HOLOSOMA | {"experiment_config": json.dumps(TRAINING)}
-    onnx.helper.set_model_props(model, told)
-    onnx.save(model, path)
-    contract = contract_of(path)
+    contract = contract_of(policy(only=told, width=116))
     assert [term.named for term in contract.terms] == ["actions", "dof_vel"]
     assert contract.terms[1].scale == [0.05]
     assert [(term.size, term.history) for term in contract.terms] == [(58, 2)] * 2
@@ -191,61 +164,39 @@ def test_metadata_of_holosoma(policy):
     assert contract.default_pos == [0.2] * 29
 
 
-WRONG = {
-    "no names of terms": ({"observation_names": None}, {}, "terms"),
-    "a term that is missing": (
-        {"observation_names": "command,base_ang_vel,joint_pos,joint_vel,actions"},
-        {},
-        "motion_anchor_ori_b",
-    ),
-    "154 for 160": ({}, {"width": 160}, "motion_anchor_pos_b and base_lin_vel"),
-    "an unknown term": ({"observation_names": "command,height_scan"}, {}, "height_scan"),
-    "another robot": ({"joint_names": "hip,knee"}, {}, "hip, knee"),
-    "23 joints": ({}, {"n_actions": 23}, "23 actions"),
-    "a joint twice": ({"joint_names": ",".join(JOINT_NAMES[:1] * 29)}, {}, "1 joint"),
-    "too stiff": ({"joint_stiffness": ",".join(["501"] * 29)}, {}, "501"),
-    "a negative damping": ({"joint_damping": ",".join(["-1"] * 29)}, {}, "-1"),
-    "too large a scale": ({"action_scale": "6"}, {}, "6"),
-    "a default beyond limits": (
-        {"default_joint_pos": ",".join(["0"] * 3 + ["-1"] + ["0"] * 25)},
-        {},
-        "left_knee_joint",
-    ),
-    "no number": ({"action_scale": "nan"}, {}, "nan"),
-    "an anchor of another robot": ({"anchor_body_name": "head"}, {}, "head"),
-    "28 gains": ({"joint_stiffness": ",".join(["40"] * 28)}, {}, "28 values"),
-    "a history that the network does not have": (
-        {"observation_history_lengths": "5,1,1,1,1,1"},
-        {},
-        "motion 290",
-    ),
-    "a history that only the network has": ({}, {"width": 5 * 154}, "each term 5 times"),
-    "lengths of other terms": ({"observation_history_lengths": "5,1"}, {}, "5,1"),
-    "half a step": ({"observation_history_lengths": "1,1,1.5,1,1,1"}, {}, "1.5"),
-    "a history that is no number": ({"observation_history_lengths": "1,1,x,1,1,1"}, {}, "'x'"),
-    "a history of another length": (
-        {"observation_history_lengths": "1,1,1,5,1,1"},
-        {"width": 212},
-        "history: joint_pos 3",
-    ),
-    "more than a recorded step has room for": ({}, {"width": 1025}, "1025 values"),
-    "a term twice": ({"observation_names": "command,motion"}, {}, "several times: motion, motion"),
-    "a custom operator": ({}, {"domain": "my.own"}, "my.own"),
-    "a width that is not known": ({}, {"width": "wide"}, "width"),
-}
+NAMES, HISTORIES = "observation_names", "observation_history_lengths"
+#: What is named, the metadata, and the shape of the network.
+WRONG = [
+    ("terms", {NAMES: None}, {}),
+    ("motion_anchor_ori_b", {NAMES: "command,base_ang_vel,joint_pos,joint_vel,actions"}, {}),
+    ("motion_anchor_pos_b and base_lin_vel", {}, {"width": 160}),
+    ("height_scan", {NAMES: "command,height_scan"}, {}),
+    ("hip, knee", {"joint_names": "hip,knee"}, {}),
+    ("23 actions", {}, {"n_actions": 23}),
+    ("1 joint", {"joint_names": ",".join(JOINT_NAMES[:1] * 29)}, {}),
+    ("501", {"joint_stiffness": ",".join(["501"] * 29)}, {}),
+    ("-1", {"joint_damping": ",".join(["-1"] * 29)}, {}),
+    ("6", {"action_scale": "6"}, {}),
+    ("left_knee_joint", {"default_joint_pos": ",".join(["0"] * 3 + ["-1"] + ["0"] * 25)}, {}),
+    ("nan", {"action_scale": "nan"}, {}),
+    ("head", {"anchor_body_name": "head"}, {}),
+    ("28 values", {"joint_stiffness": ",".join(["40"] * 28)}, {}),
+    ("motion 290", {HISTORIES: "5,1,1,1,1,1"}, {}),
+    ("each term 5 times", {}, {"width": 5 * 154}),
+    ("5,1", {HISTORIES: "5,1"}, {}),
+    ("1.5", {HISTORIES: "1,1,1.5,1,1,1"}, {}),
+    ("'x'", {HISTORIES: "1,1,x,1,1,1"}, {}),
+    ("history: joint_pos 3", {HISTORIES: "1,1,1,5,1,1"}, {"width": 212}),
+    ("1025 values", {}, {"width": 1025}),
+    ("several times: motion, motion", {NAMES: "command,motion"}, {}),
+    ("my.own", {}, {"domain": "my.own"}),
+    ("width", {}, {"declared": "any"}),
+]
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, case):
-    told, shape, named = WRONG[case]
-    if shape.get("width") == "wide":
-        path = policy(told)
-        model = onnx.load(path)
-        model.graph.input[0].type.tensor_type.shape.dim[1].dim_param = "any"
-        onnx.save(model, path)
-    else:
-        path = policy(told, **shape)
-    assert main(["policy", str(path)]) == 2
+@pytest.mark.parametrize(("named", "told", "shape"), WRONG)
+def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, named, told, shape):
+    assert main(["policy", str(policy(told, **shape))]) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert named in said
@@ -255,8 +206,9 @@ def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, cas
 def test_what_is_no_network_is_refused(tmp_path, content):
     path = tmp_path / "policy.onnx"
     path.write_bytes(content)
-    with pytest.raises(ConfigError):
-        Network(path)
+    for wrong in (path, tmp_path, tmp_path / "nowhere.onnx"):
+        with pytest.raises(ConfigError):
+            Network(wrong)
 
 
 def test_external_data_that_is_absent_is_refused(policy):
@@ -266,21 +218,8 @@ def test_external_data_that_is_absent_is_refused(policy):
     )
     assert contract_of(path).rate == 50.0
     path.with_name("w.data").unlink()
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=r"w\.data"):
         Network(path)
-    assert "w.data" in raised.value.cause
-
-
-def test_a_file_that_is_absent_and_a_directory_are_refused(tmp_path):
-    for path in (tmp_path, tmp_path / "nowhere.onnx"):
-        with pytest.raises(ConfigError):
-            Network(path)
-
-
-def test_the_action_is_that_of_the_network(policy):
-    observation = np.linspace(-1.0, 2.0, 154)
-    action = Network(policy()).act(observation)
-    assert action == pytest.approx(np.full(29, 0.01 * observation.sum()), abs=1e-5)
 
 
 def test_a_network_that_fails_is_an_error_with_a_cause(policy, capsys):
@@ -345,7 +284,7 @@ def changed(values, keys, value):
     return values | {keys[0]: changed(values[keys[0]], keys[1:], value)}
 
 
-@settings(max_examples=150, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=80, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_a_training_configuration_may_hold_anything(policy, data):
     keys = data.draw(st.sampled_from(sorted(places(TRAINING))))
@@ -354,11 +293,6 @@ def test_a_training_configuration_may_hold_anything(policy, data):
     name = data.draw(st.sampled_from(sorted(HOLOSOMA)))
     if data.draw(st.booleans()):
         told[name] = json.dumps(data.draw(ANYTHING))
-    path = policy("all", width=116)
-    model = onnx.load(path)
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, told)
-    onnx.save(model, path)
     with suppress(ConfigError):
-        contract = contract_of(path)
+        contract = contract_of(policy(only=told, width=116))
         assert np.isfinite([contract.kp, contract.kd, contract.default_pos]).all()

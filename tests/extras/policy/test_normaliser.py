@@ -1,5 +1,3 @@
-"""What a network normalises its observation by, read of the file against the onnx package."""
-
 import numpy as np
 import onnx
 import pytest
@@ -14,16 +12,13 @@ STD = np.linspace(0.1, 3.0, 154, dtype=np.float32)
 
 def normalising(first="Sub", mean=MEAN, std=STD, before=()):
     """A network whose observation goes through `before`, `first` with the mean, and a division."""
-    model = network_of()
-    nodes, at = [], "obs"
-    for i, kind in enumerate(before):
-        nodes.append(helper.make_node(kind, [at], [f"passed{i}"]))
-        at = f"passed{i}"
-    nodes.append(helper.make_node(first, [at, "mean"], ["less"]))
-    nodes.append(helper.make_node("Div", ["less", "std"], ["normal"]))
-    nodes.append(helper.make_node("MatMul", ["normal", "weights"], ["actions"]))
+    model, at = network_of(), "obs"
     del model.graph.node[:]
-    model.graph.node.extend(nodes)
+    steps = [(kind,) for kind in before] + [(first, "mean"), ("Div", "std"), ("MatMul", "weights")]
+    for i, (kind, *others) in enumerate(steps):
+        gives = "actions" if kind == "MatMul" else f"passed{i}"
+        model.graph.node.append(helper.make_node(kind, [at, *others], [gives]))
+        at = gives
     for name, values in (("mean", mean), ("std", std)):
         model.graph.initializer.append(numpy_helper.from_array(values[None], name))
     return model

@@ -1,5 +1,3 @@
-"""Observations, actions and targets equal those of the programs that the policies came with."""
-
 import json
 
 import numpy as np
@@ -61,17 +59,12 @@ TOLD: dict[str, dict[str, object]] = {
 }
 
 
-def toml(facts):
-    def value(one):
-        if isinstance(one, dict):
-            return "{ " + ", ".join(f"{json.dumps(k)} = {v}" for k, v in one.items()) + " }"
-        return json.dumps(one)
-
-    terms = facts.get("terms", [])
-    lines = [f"{name} = {value(one)}" for name, one in facts.items() if name != "terms"]
-    for term in terms:
-        lines += ["[[terms]]", *(f"{k} = {json.dumps(v)}" for k, v in term.items())]
-    return "\n".join(lines)
+def toml(value):
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{json.dumps(k)} = {toml(one)}' for k, one in value.items())} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml, value))}]"
+    return json.dumps(value)
 
 
 def contract_of(name, directory):
@@ -86,7 +79,8 @@ def contract_of(name, directory):
             facts["joint_names"] = isaac.split(",")
         copy = directory / name
         copy.symlink_to(path)
-        copy.with_suffix(".toml").write_text(toml(facts))
+        lines = (f"{key} = {toml(value)}" for key, value in facts.items())
+        copy.with_suffix(".toml").write_text("\n".join(lines))
         path = copy
     network = Network(path)
     return network, read_contract(network)

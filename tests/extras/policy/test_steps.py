@@ -1,7 +1,3 @@
-"""The steps of a policy in a session: recorded, replayed, and read after a fall."""
-
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -14,7 +10,7 @@ from onnx import helper, numpy_helper
 
 import g1stream
 from g1stream.cli.main import main
-from g1stream.config import Config
+from g1stream.config import Config, SimConfig
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.replay import replay_policy
@@ -37,21 +33,23 @@ TERMS = {
 
 
 def save(path, weights, **told):
-    model = network_of()
+    model = network_of(width=len(weights))
     model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, "weights"))
     helper.set_model_props(model, METADATA | told)
     onnx.save(model, path)
     return path
 
 
-def weights(scale=0.02):
-    return np.random.default_rng(3).normal(0.0, scale, (154, 29)).astype(np.float32)
+def weights(scale=0.02, width=154):
+    return np.random.default_rng(3).normal(0.0, scale, (width, 29)).astype(np.float32)
+
+
+SHORT = {"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}}
 
 
 def config(**values):
-    short = {"ramp": 0.5, "hold": 0.1, "damp": 0.5, "stand": 0.5}
     # The actions of these policies mean nothing.
-    stream = {**short, "beyond_limits": "anyway", **values}
+    stream = SHORT["stream"] | {"stand": 0.5, "beyond_limits": "anyway"} | values
     return Config.model_validate({"stream": stream})
 
 
@@ -69,29 +67,28 @@ def falling(place):
     return g1stream.open_session(session.save(place / "falling.mcap"))
 
 
-@pytest.fixture(scope="module")
-def dance():
-    motion = g1stream.load_motion(DANCE).trim(0.0, 2.0)
-    return g1stream.rollout(motion, policy=UNITREE, config=config())
-
-
-def changed(session, place, act):
-    """A copy of a session whose messages on /policy `act` has changed in place."""
-    source, step = MemorySource("changed"), PolicyStep()
-    source.add_metadata(session.metadata)
+def copied(session, metadata, edit=lambda topic, i, message: message.data):
+    """A copy with other metadata; `edit` gives a message's data, or None to leave it out."""
+    source = MemorySource("copied")
+    source.add_metadata(metadata)
     for topic in ("/lowstate", "/reference", "/lowcmd", "/sportmodestate", "/policy"):
         for i, message in enumerate(session.messages(topic)):
-            data = message.data
-            if topic == "/policy":
-                step.load(data)
-                if act(i, step) is False:
-                    continue
-                data = step.tobytes()
-            source.write(topic, data, message.log_time, message.publish_time)
+            if (data := edit(topic, i, message)) is not None:
+                source.write(topic, data, message.log_time, message.publish_time)
     return g1stream.Session(source)
 
 
-# --- the channel ---
+def changed(session, act):
+    """A copy of a session whose messages on /policy `act` has changed in place."""
+    step = PolicyStep()
+
+    def edit(topic, i, message):
+        if topic != "/policy":
+            return message.data
+        step.load(message.data)
+        return None if act(i, step) is False else step.tobytes()
+
+    return copied(session, session.metadata, edit)
 
 
 def test_each_step_is_in_the_session(falling):
@@ -130,9 +127,7 @@ def test_a_table_names_terms_and_joints(falling):
 
 
 def test_a_session_without_a_policy_has_none():
-    session = g1stream.rollout(
-        "demo", config=Config.model_validate({"stream": {"ramp": 0.5}}), seconds=0.2
-    )
+    session = g1stream.rollout("demo", config=Config.model_validate(SHORT), seconds=0.2)
     assert session.policy is None
     assert session.policy_info is None
     assert policy_steps(session) is None
@@ -170,52 +165,45 @@ def test_another_reader_reads_the_channel_and_what_the_policy_is(falling):
     assert [term["name"] for term in told["contract"]["terms"]] == list(TERMS)
 
 
-def test_a_recording_by_a_recorder_that_was_not_told_has_one_term(falling, place):
-    source = MemorySource("alone")
-    for topic in ("/lowstate", "/reference", "/policy"):
-        for message in falling.messages(topic):
-            source.write(topic, message.data, message.log_time, message.publish_time)
-    session = g1stream.Session(source)
+@pytest.mark.parametrize(
+    "told",
+    [
+        {},
+        {"policy": {"contract": {"terms": 5}}},
+        {"policy": {"contract": {"terms": [{"name": "a"}]}}},
+        {"policy": {"contract": {"terms": [{"name": "a", "size": -1}]}}},
+    ],
+)
+def test_a_recorder_may_say_nothing_or_anything_of_the_policy(falling, place, told):
+    session = copied(falling, told)
     assert dict(session.policy.terms) == {}
     assert session.policy.observation.shape[1] == 154
-    assert replay_policy(session, place / "policy.onnx").same
-    with pytest.raises(ConfigError):
-        replay_policy(session)
+    if told:
+        assert policy_steps(session).terms == {}
+    else:
+        assert replay_policy(session, place / "policy.onnx").same
+        with pytest.raises(ConfigError):
+            replay_policy(session)
 
 
-@pytest.mark.parametrize(
-    "contract",
-    [{}, {"terms": 5}, {"terms": [{"name": "a"}]}, {"terms": [{"name": "a", "size": -1}]}],
-)
-def test_what_a_session_says_of_its_policy_may_be_anything(falling, contract):
-    source = MemorySource("odd")
-    source.add_metadata({"policy": {"contract": contract}})
-    for topic in ("/lowstate", "/reference", "/policy"):
-        for message in falling.messages(topic):
-            source.write(topic, message.data, message.log_time, message.publish_time)
-    session = g1stream.Session(source)
-    assert dict(session.policy.terms) == {}
-    assert policy_steps(session).terms == {}
-
-
-# --- replay ---
-
-
-def test_the_recorded_observations_give_the_recorded_actions(falling):
+def test_the_recorded_observations_give_the_recorded_actions(falling, capsys):
     found = replay_policy(falling)
     assert (found.differing, found.first, found.same, found.same_file) == (0, None, True, True)
     assert found.rebuilt == found.steps == len(falling.policy)
     assert found.left_out == {}
     assert list(found.terms) == list(TERMS)
     assert max(one.max_abs for one in found.terms.values()) < 1e-5
+    assert main(["policy", "--replay", str(falling.path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["same"], told["differing"], told["steps"]) == (True, 0, len(falling.policy))
 
 
-def test_the_first_other_action_is_named(falling, place):
+def test_the_first_other_action_is_named(falling):
     def act(i, step):
         if i >= 3:
             step.action[7] = np.nextafter(step.action[7], np.float32(np.inf))
 
-    found = replay_policy(changed(falling, place, act))
+    found = replay_policy(changed(falling, act))
     assert found.differing == found.steps - 3
     assert (found.first.step, found.first.joint) == (3, JOINT_NAMES[7])
     assert found.first.recorded == np.nextafter(
@@ -224,12 +212,12 @@ def test_the_first_other_action_is_named(falling, place):
     assert found.first.time_s == pytest.approx(falling.policy.time[3])
 
 
-def test_a_term_that_was_computed_otherwise_is_named(falling, place):
+def test_a_term_that_was_computed_otherwise_is_named(falling):
     def act(i, step):
         if i >= 4:
             step.observation[64:67] *= 0.25
 
-    found = replay_policy(changed(falling, place, act))
+    found = replay_policy(changed(falling, act))
     beyond = {name: one.step for name, one in found.terms.items() if one.step is not None}
     assert beyond == {"base_ang_vel": 4}
     assert not found.same
@@ -237,25 +225,21 @@ def test_a_term_that_was_computed_otherwise_is_named(falling, place):
     assert found.terms["base_ang_vel"].max_abs == pytest.approx(0.75 * turning, rel=1e-4)
 
 
-def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(falling, place):
+def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(falling):
     def unknown(i, step):
         if i == 5:
             step.state_published[()] = 0
 
-    found = replay_policy(changed(falling, place, unknown))
+    found = replay_policy(changed(falling, unknown))
     assert (found.rebuilt, sum(found.left_out.values()), found.same) == (found.steps - 1, 1, True)
-    found = replay_policy(changed(falling, place, lambda i, _: i != 5))
+    found = replay_policy(changed(falling, lambda i, _: i != 5))
     assert (found.rebuilt, found.steps) == (5, len(falling.policy) - 1)
     assert not found.differing
 
 
 def test_observations_with_a_history_are_recomputed(place):
-    model = network_of(width=154 + 4 * 29)
-    some = np.random.default_rng(5).normal(0.0, 0.02, (154 + 4 * 29, 29)).astype(np.float32)
-    model.graph.initializer[0].CopyFrom(numpy_helper.from_array(some, "weights"))
-    told = METADATA | {"observation_history_lengths": "1,1,1,1,5,1"}
-    helper.set_model_props(model, told)
-    onnx.save(model, path := place / "history.onnx")
+    told = {"observation_history_lengths": "1,1,1,1,5,1"}
+    path = save(place / "history.onnx", weights(width=154 + 4 * 29), **told)
     session = g1stream.rollout("demo", policy=path, config=config(), seconds=1.0)
     steps = session.policy
     assert steps.observation[:, steps.terms["joint_vel_rel"]].shape[1] == 5 * 29
@@ -270,21 +254,14 @@ def test_observations_with_a_history_are_recomputed(place):
     assert figures.std == pytest.approx(float(newest.astype(np.float64).std()))
 
 
-def test_the_command_replays(falling, place, capsys):
-    assert main(["policy", "--replay", str(falling.path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["same"], told["differing"], told["steps"]) == (True, 0, len(falling.policy))
+def test_the_command_refuses_other_policies(falling, place):
+    replay = "--replay", str(falling.path)
     other = save(place / "other.onnx", weights() + np.float32(0.01))
-    assert main(["policy", str(other), "--replay", str(falling.path)]) == 1
+    assert main(["policy", str(other), *replay]) == 1
     narrow = place / "narrow.onnx"
     onnx.save(network_of(width=160), narrow)
-    for wrong in (
-        [str(narrow), "--replay", str(falling.path)],
-        [],
-        ["--replay", str(falling.path), "--motion", "demo"],
-    ):
+    for wrong in ((str(narrow), *replay), (), (*replay, "--motion", "demo")):
         assert main(["policy", *wrong]) == 2
-        assert capsys.readouterr().err.count("\n") >= 2
 
 
 def test_a_file_that_has_changed_or_gone_is_no_default(falling, place, tmp_path):
@@ -305,26 +282,16 @@ def test_a_file_that_has_changed_or_gone_is_no_default(falling, place, tmp_path)
 
 def nan_where_it_turns(path):
     """A policy that holds the default pose, and gives NaN where the pelvis turns by 1 rad/s."""
-    model = network_of()
-    pick = np.zeros((154, 1), np.float32)
+    model, pick = network_of(), np.zeros((154, 1), np.float32)
     pick[65] = 1.0  # about the lateral axis
-    constants = {"weights": np.zeros((154, 29), np.float32), "pick": pick}
-    constants |= {"most": np.float32(1.0), "nan": np.float32(np.nan), "nothing": np.float32(0.0)}
+    constants = {"pick": pick, "one": np.float32(1.0), "none": np.zeros((1, 29), np.float32)}
+    nodes = ["MatMul obs pick turn", "Mul turn turn square", "Sub one square left"]
+    nodes += ["Sqrt left root", "MatMul root none actions"]
     del model.graph.initializer[:], model.graph.node[:]
-    model.graph.initializer.extend(
-        numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()
-    )
-    model.graph.node.extend(
-        helper.make_node(kind, takes, [gives])
-        for kind, takes, gives in (
-            ("MatMul", ["obs", "pick"], "turn"),
-            ("Abs", ["turn"], "speed"),
-            ("Greater", ["speed", "most"], "fast"),
-            ("Where", ["fast", "nan", "nothing"], "more"),
-            ("MatMul", ["obs", "weights"], "still"),
-            ("Add", ["still", "more"], "actions"),
-        )
-    )
+    for name, value in constants.items():
+        model.graph.initializer.append(numpy_helper.from_array(np.asarray(value), name))
+    for kind, *takes, gives in map(str.split, nodes):
+        model.graph.node.append(helper.make_node(kind, takes, [gives]))
     helper.set_model_props(model, METADATA)
     onnx.save(model, path)
     return path
@@ -344,9 +311,6 @@ def test_actions_that_are_not_finite_are_told_and_repeated(place):
     assert policy_steps(session).repeated == 3
     rows = [json.loads(message.data) for message in session.messages("/policy/terms")]
     assert set(rows[wrong[0]]["action"].values()) == {None}
-
-
-# --- what it says of a run ---
 
 
 def test_a_fall_is_found_and_what_came_before_it(falling):
@@ -369,14 +333,13 @@ def test_a_fall_is_found_and_what_came_before_it(falling):
 
 def test_a_gap_of_lowstate_before_the_fall_is_the_first_sign(falling):
     fall = policy_steps(falling).fall
-    source = MemorySource("gap")
-    source.add_metadata(falling.metadata)
     since = falling.start_ns + round(1e9 * (fall.time_s - 0.15))
-    for topic in ("/reference", "/lowcmd", "/sportmodestate", "/policy", "/lowstate"):
-        for message in falling.messages(topic):
-            if topic != "/lowstate" or not 0 <= message.publish_time - since < 50_000_000:
-                source.write(topic, message.data, message.log_time, message.publish_time)
-    signs = policy_steps(g1stream.Session(source)).fall.signs
+
+    def edit(topic, i, message):
+        gap = topic == "/lowstate" and 0 <= message.publish_time - since < 50_000_000
+        return None if gap else message.data
+
+    signs = policy_steps(copied(falling, falling.metadata, edit)).fall.signs
     (gap,) = (sign for sign in signs if sign.kind == "time")
     assert gap.time_s == pytest.approx(fall.time_s - 0.1, abs=0.005)
 
@@ -409,12 +372,22 @@ def test_terms_of_two_sessions_are_compared(falling, place):
     assert f"action {found.terms_apart['action']:.3g}" in " ".join(str(found).split())
 
 
-# --- policies of others ---
+def test_a_session_of_a_policy_is_not_replayed_by_one(falling, place):
+    with pytest.raises(ConfigError):
+        g1stream.replay(falling, config(policy=str(place / "policy.onnx")))
 
 
 @needs_policies
-def test_a_policy_that_stands_has_no_fall(dance):
-    found = policy_steps(dance)
+def test_a_policy_that_stands_has_no_fall():
+    motion = g1stream.load_motion(DANCE).trim(0.0, 2.0)
+    delayed = config().model_copy(update={"sim": SimConfig(command_delay=0.004)})
+    dance = g1stream.rollout(motion, policy=UNITREE, config=delayed)
+    summary, found = dance.summary(), policy_steps(dance)
+    assert summary.termination.reason == ""
+    stream = summary.stream
+    assert (stream.support, stream.feedforward, stream.preview_s) == ("free", None, None)
+    assert dance.tracking().overall < 0.2
+    assert dance.base.position[:, 2][dance.base.time < 3.0].min() > 0.6
     assert found.fall is None
     assert found.late == found.repeated == 0
     assert {one.phase for one in dance.phases} >= {Phase.PLAY, Phase.HOLD}

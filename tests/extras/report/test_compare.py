@@ -1,5 +1,3 @@
-"""Sessions beside others: noise and change told apart, and what is refused."""
-
 import re
 
 import numpy as np
@@ -9,7 +7,6 @@ from scipy.stats import ttest_ind
 import g1stream
 from g1stream.app.session import Session
 from g1stream.cli.main import main
-from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.extras.report.compare import differences, ranked, verdict
 from g1stream.session.source import MemorySource
@@ -19,23 +16,21 @@ from g1stream.testing import SyntheticSession
 
 def session(**wrong):
     source = MemorySource()
-    SyntheticSession(wrong.pop("seconds", 2.0), **wrong).write(source)
+    SyntheticSession(**{"seconds": 1.0} | wrong).write(source)
     return Session(source)
 
 
-def runs(level, n=4, seconds=2.0, **more):
+def runs(levels):
     """Sessions whose error varies by some 3 % from run to run."""
-    rng = np.random.default_rng(int(level * 1e4))
-    levels = level * (1.0 + 0.03 * rng.standard_normal(n))
-    return [session(bias=one, noise=1e-4, seconds=seconds, **more) for one in levels]
+    rng = np.random.default_rng(5)
+    return [
+        [session(bias=level * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(4)]
+        for level in levels
+    ]
 
 
-@pytest.fixture(scope="module")
-def worse():
-    return g1stream.compare(runs(0.010), runs(0.013))
-
-
-def test_a_change_beyond_the_noise_is_significant(worse):
+def test_a_change_beyond_the_noise_is_significant():
+    worse = g1stream.compare(*runs((0.010, 0.013)))
     rmse = worse.metrics["rmse"]
     assert rmse.change == pytest.approx(0.3, abs=0.05)
     assert rmse.significant
@@ -45,12 +40,7 @@ def test_a_change_beyond_the_noise_is_significant(worse):
 
 
 def test_noise_is_not():
-    rng = np.random.default_rng(5)
-    sides = [
-        [session(bias=0.01 * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(3)]
-        for _ in range(2)
-    ]
-    same = g1stream.compare(*sides)
+    same = g1stream.compare(*runs((0.01, 0.01)))
     assert not any(one.significant for one in same.joints.values())
     assert all(one.p <= one.p_adjusted <= 1.0 for one in same.joints.values())
 
@@ -112,10 +102,9 @@ def test_another_motion_is_refused(monkeypatch):
 
 
 @pytest.mark.slow
-def test_only_joints_that_play_in_all_sessions_count():
-    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+def test_only_joints_that_play_in_all_sessions_count(short):
     left, arms, right = (
-        g1stream.rollout("demo", joints=joints, seconds=0.5, config=config)
+        g1stream.rollout("demo", joints=joints, seconds=0.3, config=short)
         for joints in ("left_arm", "arms", "right_arm")
     )
     found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]

@@ -1,7 +1,3 @@
-"""Conditions of --fail-if: what they say, and what is none."""
-
-from __future__ import annotations
-
 from math import nan
 
 import pytest

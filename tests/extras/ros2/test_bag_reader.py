@@ -1,6 +1,4 @@
-"""Motions in bags of others: written by rosbags, mcap and Foxglove's own classes."""
-
-from __future__ import annotations
+"""Motions and sessions in bags of others: written by rosbags, mcap and Foxglove's own classes."""
 
 import sqlite3
 
@@ -9,13 +7,15 @@ import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import g1stream
 from g1stream.cli.main import main
+from g1stream.dds.messages import LOWCMD, LOWSTATE, encode_samples
 from g1stream.errors import MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
 from g1stream.motion.readers import MotionFile, find_motion, load_motion
+from g1stream.session.format import CHANNELS
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
 START = 1_700_000_000_000_000_000
@@ -47,14 +47,16 @@ def tf(time_ns, parent, child, pos, wxyz):
 
 
 def write_bag(path, topics, storage=StoragePlugin.SQLITE3, compression=CompressionMode.NONE):
-    """A bag by rosbags: topic -> (type, [(log time, message)])."""
+    """A bag by rosbags: topic -> (type, [(log time, message or its bytes)])."""
     writer = Writer(path, version=9, storage_plugin=storage)
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
         for topic, (kind, messages) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=ROS)
             for time_ns, message in messages:
-                writer.write(connection, time_ns, ROS.serialize_cdr(message, kind))
+                raw = isinstance(message, bytes)
+                data = message if raw else ROS.serialize_cdr(message, kind)
+                writer.write(connection, time_ns, data)
     return path
 
 
@@ -128,12 +130,12 @@ def test_a_compressed_bag(tmp_path, motion, joints, storage, compression):
 def test_a_file_without_its_end_is_read_to_the_cut(tmp_path, motion, joints):
     """As the recorder leaves it that was killed."""
     directory = write_bag(
-        tmp_path / "bag", {"/joint_states": (JOINT_STATE, 300 * joints)}, StoragePlugin.MCAP
+        tmp_path / "bag", {"/joint_states": (JOINT_STATE, 40 * joints)}, StoragePlugin.MCAP
     )
     (path,) = directory.glob("*.mcap")
     path.write_bytes(path.read_bytes()[:1_500_000])
     found = open_bag(MotionFile(path))
-    assert 500 < int(found.evidence.used["file"].split()[1].replace(",", "")) < 10_000
+    assert 500 < int(found.evidence.used["file"].split()[1].replace(",", "")) < 2000
 
 
 def test_without_transforms_the_pelvis_is_upright(tmp_path, joints):
@@ -175,12 +177,12 @@ def test_times_of_both_topics_are_of_one_clock(tmp_path, motion, joints, transfo
         load_motion(write_bag(tmp_path / "other", topics))
 
 
-@pytest.mark.parametrize("quat", [[0, 0, 0, 0], [np.nan, 0, 0, 1]])
-def test_transforms_that_no_pelvis_has(tmp_path, joints, quat):
-    frames = [(t, tf(t, "odom", "pelvis", [0, 0, 1], quat)) for t, _ in joints[::3]]
-    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, frames)}
-    with pytest.raises(RecordingError, match="quaternion"):
-        load_motion(write_bag(tmp_path / "bag", topics))
+def test_transforms_that_no_pelvis_has(tmp_path, joints):
+    for name, quat in {"zero": [0, 0, 0, 0], "nan": [np.nan, 0, 0, 1]}.items():
+        frames = [(t, tf(t, "odom", "pelvis", [0, 0, 1], quat)) for t, _ in joints[::3]]
+        topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, frames)}
+        with pytest.raises(RecordingError, match="quaternion"):
+            load_motion(write_bag(tmp_path / name, topics))
 
 
 @pytest.mark.parametrize(
@@ -242,35 +244,17 @@ def test_convert_and_back(tmp_path, motion, out):
 STRING = "std_msgs/msg/String"
 
 
-@pytest.mark.parametrize(
-    ("topics", "error", "named"),
-    [
-        (
-            lambda joints: {"/lowstate": (STRING, [(START, of_ros(STRING)("hello"))])},
-            RecordingError,
-            "only std_msgs/msg/String",
-        ),
-        (
-            lambda joints: {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")},
-            RecordingError,
-            "/one/js, /two/js",
-        ),
-        (
-            lambda joints: {
-                "/js": (
-                    JOINT_STATE,
-                    [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints],
-                )
-            },
-            MotionError,
-            "lacks the joints waist_pitch_joint",
-        ),
-    ],
-    ids=["other things", "two robots", "another robot"],
-)
-def test_what_is_no_motion_of_a_g1(tmp_path, joints, topics, error, named):
-    with pytest.raises(error, match=named):
-        load_motion(write_bag(tmp_path / "bag", topics(joints)))
+def test_what_is_no_motion_of_a_g1(tmp_path, joints):
+    text = [(START, of_ros(STRING)("hello"))]
+    upper = [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints]
+    cases = [
+        ({"/lowstate": (STRING, text)}, RecordingError, "only std_msgs/msg/String"),
+        (dict.fromkeys(("/a/js", "/b/js"), (JOINT_STATE, joints)), RecordingError, "/a/js, /b/js"),
+        ({"/js": (JOINT_STATE, upper)}, MotionError, "lacks the joints waist_pitch_joint"),
+    ]
+    for i, (topics, error, named) in enumerate(cases):
+        with pytest.raises(error, match=named):
+            load_motion(write_bag(tmp_path / str(i), topics))
 
 
 def test_messages_that_are_not_what_they_say(tmp_path, joints):
@@ -280,8 +264,60 @@ def test_messages_that_are_not_what_they_say(tmp_path, joints):
     assert decode(whole).names == tuple(message.name)
     with pytest.raises(ValueError, match=r".+"):
         decode(whole[:-1])
-    with Writer(path, version=9) as writer:
-        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS)
-        writer.write(connection, time_ns, whole[:100])
+    write_bag(path, {"/joint_states": (JOINT_STATE, [(time_ns, whole[:100])])})
     with pytest.raises(RecordingError, match="is not a sensor_msgs/msg/JointState"):
         load_motion(path)
+
+
+@pytest.fixture(scope="module")
+def played():
+    """Joint positions of the bundled motion, begun 3 s after the first message, and times, ns."""
+    time = np.arange(0.0, 14.0, 0.01)
+    q = g1stream.Trajectory(load_motion("demo")).sample_joints(time - 3.0)[0]
+    return q, START + np.round(time * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ("storage", "prefix"),
+    [(StoragePlugin.SQLITE3, "/"), (StoragePlugin.MCAP, "/rt/"), (StoragePlugin.SQLITE3, "rt/")],
+)
+def test_a_bag_of_the_robots_own_topics(tmp_path, played, storage, prefix):
+    """Raw samples under their ROS 2 types, whose definitions are those of our session files."""
+    q, stamps = (values[:200] for values in played)
+    command = {"motor_cmd.q": q, "motor_cmd.kp": np.full(q.shape, 50.0)}
+    samples = {
+        "lowcmd": encode_samples(LOWCMD, command, len(q)),
+        "lowstate": encode_samples(LOWSTATE, {"motor_state.q": q}, len(q)),
+    }
+    topics = {}
+    for name, rows in samples.items():
+        channel = CHANNELS[f"/{name}"]
+        ROS.register(get_types_from_msg(channel.build_schema().decode(), channel.schema_name))
+        data = [row.tobytes() for row in rows]
+        topics[f"{prefix}{name}"] = channel.schema_name, zip(stamps.tolist(), data, strict=True)
+    session = g1stream.open_session(write_bag(tmp_path / "bag", topics, storage))
+    assert session.topics == {"/lowcmd": 200, "/lowstate": 200}
+    assert [*session.replay_bytes("/lowstate")] == data
+    np.testing.assert_array_equal(session.command.publish_time, stamps)
+    np.testing.assert_array_equal(session.command.q, np.float32(q))
+
+
+def test_joint_states_are_a_session(tmp_path, played):
+    q, stamps = played
+    states = [
+        (stamp + 5000, joint_state(stamp, g1stream.JOINT_NAMES, row))
+        for stamp, row in zip(stamps.tolist(), q, strict=True)
+    ]
+    bag = write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, states)})
+    session = g1stream.open_session(bag)
+    np.testing.assert_allclose(session.measured.q, q, atol=1e-6)
+    np.testing.assert_array_equal(session.measured.publish_time, stamps)
+    attached = session.attach(load_motion("demo"))
+    assert attached.attached.by_robot
+    assert attached.start_ns == pytest.approx(START + 3_000_000_000, abs=1_000_000)
+
+
+def test_a_bag_of_something_else_is_no_session(tmp_path):
+    bag = write_bag(tmp_path / "bag", {"/chatter": (STRING, [(START, of_ros(STRING)("hello"))])})
+    with pytest.raises(RecordingError, match="chatter"):
+        g1stream.open_session(bag)

@@ -1,6 +1,6 @@
 """A session as a ROS 2 bag, read by two readers that know ROS's messages and nothing of ours."""
 
-from __future__ import annotations
+import json
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 from rosbags.rosbag2 import Reader
 
 from g1stream.app.session import open_session
+from g1stream.cli.main import main
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import RecordingError
 from g1stream.extras.ros2.bag_writer import write_ros2_bag
@@ -182,3 +183,18 @@ def test_what_cannot_be_decoded_leaves_nothing_behind(write_session, samples, tm
     with pytest.raises(RecordingError, match=topic):
         write_ros2_bag(damaged, tmp_path / "bag")
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.mcap"]
+
+
+def test_the_command_and_the_flags_of_motions_that_it_refuses(tmp_path, capsys):
+    session, bag = tmp_path / "out.mcap", tmp_path / "out"
+    assert main(["convert", "demo", str(session)]) == 0
+    assert main(["convert", str(session), str(bag), "--ros2", "--frames", "1:2"]) == 2
+    assert main(["convert", "demo", str(bag), "--ros2"]) == 2
+    assert not bag.exists()
+    capsys.readouterr()
+    assert main(["convert", str(session), str(bag), "--ros2", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["path"] == str(bag)
+    assert report["counts"].keys() == {"/tf", "/reference/joint_states", "/robot_description"}
+    assert report["left_out"] == {"/scene": 1}
+    assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "out_0.mcap"]

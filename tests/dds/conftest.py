@@ -1,14 +1,11 @@
-"""Random samples of every type, another process on the wire, and the types of the IDL files."""
-
 from __future__ import annotations
 
-import ctypes
 import re
 import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -41,7 +38,6 @@ def declared():
 
 
 def _parse(text):
-    """The IDL in use: modules, annotated structs, primitives, and arrays of fixed length."""
     text = re.sub(r"//.*|/\*.*?\*/|^\s*#.*", "", text, flags=re.MULTILINE)
     found: dict[str, Declared] = {}
     scope: list[str] = []
@@ -103,78 +99,6 @@ def idl_type(request):
 @pytest.fixture(scope="session")
 def our_types():
     return all_types()
-
-
-CTYPES = {
-    "u1": ctypes.c_uint8,
-    "i2": ctypes.c_int16,
-    "i4": ctypes.c_int32,
-    "u4": ctypes.c_uint32,
-    "u8": ctypes.c_uint64,
-    "f4": ctypes.c_float,
-    "f8": ctypes.c_double,
-}
-PRIMITIVES = {
-    "byte": "u1",
-    "uint8": "u1",
-    "int16": "i2",
-    "int32": "i4",
-    "uint32": "u4",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
-
-
-@pytest.fixture(scope="session")
-def c_struct():
-    """The ctypes.Structure of a type, laid out as the C compiler of this machine would."""
-
-    def build(element):
-        if isinstance(element, str):
-            return CTYPES[PRIMITIVES[element]]
-        fields = [
-            (name, build(member) if length is None else build(member) * length)
-            for name, (member, length) in members(element).items()
-        ]
-        return type(element.__name__, (ctypes.Structure,), {"_fields_": fields})
-
-    return build
-
-
-@pytest.fixture(scope="session")
-def random_instance():
-    """An instance of a cyclonedds class, every value in it drawn at random.
-
-    Returns the instance, and its values by dotted path as the layout names them.
-    """
-
-    def draw(rng, element):
-        dtype = np.dtype(PRIMITIVES[element])
-        if dtype.kind == "f":
-            return rng.normal(scale=1e3, size=1).astype(dtype)[0].item()
-        bounds = np.iinfo(dtype)
-        return int(rng.integers(bounds.min, bounds.max, endpoint=True, dtype=dtype))
-
-    def build(rng, element, path, values):
-        if isinstance(element, str):
-            value = draw(rng, element)
-            values.setdefault(path, []).append(value)
-            return value
-        parts = {}
-        for name, (member, length) in members(element).items():
-            below = f"{path}.{name}" if path else name
-            if length is None:
-                parts[name] = build(rng, member, below, values)
-            else:
-                parts[name] = [build(rng, member, below, values) for _ in range(length)]
-        return element(**parts)
-
-    def make(idl_type, seed):
-        values: dict[str, Any] = {}
-        return build(np.random.default_rng(seed), idl_type, "", values), values
-
-    return make
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,7 @@
 
 from cyclonedds.idl import types as cyclone_types
 
-from g1stream.dds.layout import leaves, members
-from g1stream.dds.messages import TOPICS
+from g1stream.dds.layout import members
 
 # Beyond cyclonedds 0.10 IDL's octet is `byte` there: `uint8` would crash peers (see types.py).
 PRIMITIVES = {
@@ -39,30 +38,3 @@ def test_fields_are_those_of_the_idl(declared, idl_type):
 def test_types_are_final_and_numbered_in_order(declared, idl_type):
     assert declared[idl_type.__idl_typename__].annotations == ["@final"]
     assert idl_type.__idl_annotations__ == {"extensibility": "final", "autoid": "sequential"}
-
-
-def test_class_is_named_like_its_type(idl_type):
-    assert idl_type.__name__ == idl_type.__idl_typename__.rpartition(".")[2]
-
-
-def test_leaves_are_the_primitives_in_order(declared, idl_type):
-    def walk(name):
-        module = name.rpartition(".")[0]
-        for field, (element, length) in declared[name].fields.items():
-            for i in range(length or 1):
-                index = () if length is None else (i,)
-                if element in PRIMITIVES:
-                    yield field, index
-                else:
-                    for path, inner in walk(f"{module}.{element}"):
-                        yield f"{field}.{path}", index + inner
-
-    found = [(leaf.path, leaf.index) for leaf in leaves(idl_type)]
-    assert found == list(walk(idl_type.__idl_typename__))
-
-
-def test_every_topic_has_a_name_and_a_type_of_its_own(declared):
-    names = [topic.name for topic in TOPICS]
-    assert len(set(names)) == len(names)
-    assert all(name.startswith("rt/") for name in names)
-    assert all(topic.message.idl_type.__idl_typename__ in declared for topic in TOPICS)

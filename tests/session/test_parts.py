@@ -101,44 +101,33 @@ def test_the_directory_is_read_as_one_session(write_parts, samples):
         assert list(session.replay_bytes(topic)) == data
     assert session.metadata.items() >= {"host": "here", "at_end": True}.items()
     assert session.attachments == {"robot.urdf": b"<robot/>"}
-    assert not session.summary().selected
+    writer.path.rename(writer.path.with_name("renamed"))
+    assert open_session(writer.path.with_name("renamed")).topics["/lowcmd"] == N
 
 
-def test_a_renamed_directory_is_still_the_session(write_parts, tmp_path):
-    write_parts().path.rename(tmp_path / "renamed")
-    assert open_session(tmp_path / "renamed").topics["/lowcmd"] == N
-
-
-def test_a_missing_part_is_absent(write_parts, samples):
+@pytest.mark.parametrize("content", [None, b"", bytes(4096)])
+def test_a_missing_or_unreadable_part_is_absent_with_its_reason(write_parts, samples, content):
     writer = write_parts()
-    writer.paths[1].unlink()
+    first, middle, last = writer.paths
+    middle.unlink()
+    if content is not None:
+        middle.write_bytes(content)
     session = open_session(writer.path)
     assert list(session.absent_parts) == [1]
-    assert str(writer.paths[1]) in session.absent_parts[1]
+    assert str(middle) in session.absent_parts[1]
+    assert session.paths == [first, last]
     assert not session.complete
     assert list(session.replay_bytes("/lowcmd"))[-1] == samples["/lowcmd"][-1]
-
-
-@pytest.mark.parametrize("content", [b"", bytes(4096), b"oops"])
-def test_an_unreadable_part_is_absent_with_its_reason(write_parts, content):
-    writer = write_parts()
-    writer.paths[2].write_bytes(content)
-    session = open_session(writer.path)
-    assert list(session.absent_parts) == [2]
-    assert str(writer.paths[2]) in session.absent_parts[2]
-    assert session.paths == writer.paths[:2]
-    assert not session.complete
     with pytest.raises(RecordingError):
-        open_session(writer.paths[2])
+        open_session(middle)
 
 
 def test_without_any_readable_part_there_is_no_session(write_parts):
     writer = write_parts()
     for path in writer.paths:
         path.unlink()
-    with pytest.raises(RecordingError) as error:
+    with pytest.raises(RecordingError, match=str(writer.paths[0])):
         SessionFiles(writer.path)
-    assert str(writer.paths[0]) in str(error.value)
 
 
 def test_parts_are_listed_as_soon_as_they_are_begun(tmp_path, samples):
@@ -152,18 +141,16 @@ def test_parts_are_listed_as_soon_as_they_are_begun(tmp_path, samples):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [None, "", "{", "rosbag2_bagfile_information: {}", "rosbag2_bagfile_information: 3", "\0"],
+    "content", ["", "{", "rosbag2_bagfile_information: {}", "rosbag2_bagfile_information: 3"]
 )
 def test_a_directory_that_is_no_recording(write_parts, content):
     path = write_parts().path
-    if content is None:
-        (path / "metadata.yaml").unlink()
-    else:
-        (path / "metadata.yaml").write_text(content)
-    with pytest.raises(RecordingError) as error:
+    (path / "metadata.yaml").write_text(content)
+    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
         open_session(path)
-    assert "metadata.yaml" in error.value.cause
+    (path / "metadata.yaml").unlink()
+    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
+        open_session(path)
 
 
 # --- metadata.yaml, by the specification of rosbag2's BagMetadata, version 6 ---
@@ -205,11 +192,11 @@ def record(writer, seconds, payload=bytes(8)):
 def test_parts_end_with_the_chunk_that_reaches_their_size(tmp_path):
     noise = np.random.default_rng(1).bytes(10_000)
     with SessionWriter(tmp_path / "s.mcap", split_bytes=20_000) as writer:
-        record(writer, 4, noise)
+        record(writer, 2, noise)
     sizes = [path.stat().st_size for path in writer.paths]
     assert len(sizes) > 2
     assert all(20_000 <= size < 60_000 for size in sizes[:-1])
-    assert sum(len(read(path)[0]) for path in writer.paths) == 400
+    assert sum(len(read(path)[0]) for path in writer.paths) == 200
 
 
 def test_the_file_header_does_not_count_as_size(tmp_path):
@@ -260,14 +247,26 @@ def content(directory):
     return {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()}
 
 
-def test_a_recording_is_replaced_only_with_force(write_parts, tmp_path):
+def test_a_recording_is_replaced_only_with_force_and_once_the_first_part_stands(
+    write_parts, tmp_path
+):
     write_parts()
     before = content(tmp_path)
     with pytest.raises(RecordingError) as error:
         write_parts()
     assert "--force" in error.value.remedy
     assert content(tmp_path) == before
-    with SessionWriter(tmp_path / "session.mcap", split_ns=PART_NS, force=True) as writer:
+
+    def fail(writer):
+        file_header(writer)
+        assert content(tmp_path).items() >= before.items()
+        raise RecordingError("The disk is full.", "Make room.")
+
+    forced = {"split_ns": PART_NS, "force": True}
+    with pytest.raises(RecordingError, match="full"):
+        SessionWriter(tmp_path / "session.mcap", file_header=fail, **forced)
+    assert content(tmp_path) == before
+    with SessionWriter(tmp_path / "session.mcap", **forced) as writer:
         assert writer.paths == [tmp_path / "session" / "session_0.mcap"]
         writer.write("/log", b"", T0, T0)
         writer.flush()
@@ -275,20 +274,6 @@ def test_a_recording_is_replaced_only_with_force(write_parts, tmp_path):
         writer.write("/lowstate", b"x", T0, T0)
         writer.flush()
         assert sorted(content(tmp_path)) == [writer.path / "metadata.yaml", writer.paths[0]]
-
-
-def test_the_old_recording_stays_until_the_first_part_stands(write_parts, tmp_path):
-    write_parts()
-    before = content(tmp_path)
-
-    def fail(writer):
-        file_header(writer)
-        assert content(tmp_path).items() >= before.items()
-        raise RecordingError("The disk is full.", "Make room.")
-
-    with pytest.raises(RecordingError, match="full"):
-        SessionWriter(tmp_path / "session.mcap", split_ns=PART_NS, force=True, file_header=fail)
-    assert content(tmp_path) == before
 
 
 def other_file(path):

@@ -47,7 +47,7 @@ def by_stock_reader(path):
         return found, names, [one.name for one in reader.iter_metadata()]
 
 
-@pytest.mark.parametrize("share", [0.35, 0.8, 0.99, 1.0])
+@pytest.mark.parametrize("share", [0.35, 0.99])
 def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, share):
     path = write_session(*sent.items(), close=False)
     os.truncate(path, int(path.stat().st_size * share))
@@ -134,7 +134,7 @@ def test_messages_outside_of_chunks_are_read_and_kept(tmp_path, finish, chunks_b
     assert repair_session(path)[0].dropped is None
 
 
-@pytest.mark.parametrize("share", [None, 0.01, 0.2, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("share", [None, 0.01, 0.9, 1.0])
 def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, share):
     path = write_session(*sent.items(), close=False)
     content = path.read_bytes()
@@ -161,21 +161,21 @@ def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, s
     assert len(by_stock_reader(path)[0]) == done.messages
 
 
-def test_files_one_behind_the_other_are_refused_with_where_the_first_ends(write_session, sent):
-    path = write_session(*sent.items())
-    content = path.read_bytes()
-    path.write_bytes(content + content)
-    with pytest.raises(RecordingError, match=f"several MCAP files.*at byte {len(content)} of"):
-        repair_session(path)
-    assert path.read_bytes() == content + content
+def twice(content):
+    return content + content, f"several MCAP files.*at byte {len(content)} of"
 
 
-def test_a_damaged_file_stays_as_it_is(write_session, sent, tmp_path):
-    path = write_session(*sent.items(), close=False)
-    content = bytearray(path.read_bytes())
-    content[content.index(b"zstd") + 40] ^= 0xFF
+def damaged(content):
+    place = content.index(b"zstd") + 40
+    return content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :], "damaged"
+
+
+@pytest.mark.parametrize(("close", "spoil"), [(True, twice), (False, damaged)])
+def test_what_cannot_be_repaired_stays_as_it_is(write_session, sent, tmp_path, close, spoil):
+    path = write_session(*sent.items(), close=close)
+    content, told = spoil(path.read_bytes())
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match="damaged"):
+    with pytest.raises(RecordingError, match=told):
         repair_session(path)
     assert path.read_bytes() == content
     assert [one.name for one in tmp_path.iterdir()] == ["session.mcap"]

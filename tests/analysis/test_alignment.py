@@ -50,9 +50,7 @@ def only(alignment):
     [
         (7.31, 1.0, (0.0, 40.0)),
         (-20.0, 1.0, (22.5, 33.0)),  # began before the recording would have
-        (4.0, 0.9, (0.0, 40.0)),
         (4.0, 0.5, (3.0, 25.0)),
-        (4.0, 1.3, (0.0, 40.0)),
         (4.0, 3.0, (0.0, 40.0)),
     ],
 )
@@ -78,20 +76,12 @@ def test_noise_jitter_and_a_missing_tenth_leave_the_time_exact():
     assert (play.first, play.last) == pytest.approx((0.0, 40.0), abs=0.1)
 
 
-def test_two_plays_are_found_in_their_order():
-    times, q = played(5.0, part=(0.0, 20.0), seconds=70.0)
-    _, later = played(30.0, part=(0.0, 40.0), seconds=70.0)
-    q = np.where((times > 28.0)[:, np.newaxis], later, q)
-    plays = find_plays(times, q, MOTION).plays
-    assert [round(play.start, 3) for play in plays] == [5.0, 30.0]
-    assert [play.last for play in plays] == pytest.approx([20.0, 40.0], abs=0.1)
-
-
 def test_plays_are_in_order_of_the_time_at_which_they_were_played():
     times, q = played(5.0, part=(0.0, 12.0), seconds=45.0)
     _, later = played(-5.0, part=(25.0, 38.0), seconds=45.0)
     q = np.where((times > 18.5)[:, np.newaxis], later, q)
     plays = find_plays(times, q, MOTION).plays
+    assert [play.start for play in plays] == pytest.approx([5.0, -5.0], abs=1e-3)
     assert [play.first for play in plays] == pytest.approx([0.0, 25.0], abs=0.1)
 
 
@@ -112,19 +102,14 @@ def test_a_gentle_play_in_a_long_rest_is_found():
     assert only(find_plays(times, q, trajectory)).start == pytest.approx(400.0, abs=2e-3)
 
 
-def test_joints_that_rest_though_the_motion_moves_them_do_not_follow():
+def test_joints_that_rest_do_not_follow_and_the_error_is_without_the_mean():
     times, q = played(7.0)
+    beside = 0.1 + 0.03 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 5.0 * times)[:, np.newaxis]
+    assert only(find_plays(times, q + beside, MOTION)).rmse == pytest.approx(0.03, rel=0.02)
     q[:, :15] = 0.1
     play = only(find_plays(times, q, MOTION))
     assert play.start == pytest.approx(7.0, abs=1e-3)
     assert play.joints.tolist() == [False] * 15 + [True] * 14
-
-
-def test_the_error_is_that_of_the_positions_without_their_mean():
-    times, q = played(7.0)
-    q += 0.1 + 0.03 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 5.0 * times)[:, np.newaxis]
-    play = only(find_plays(times, q, MOTION))
-    assert play.rmse == pytest.approx(0.03, rel=0.02)
 
 
 def test_a_play_with_large_errors_ends_where_the_robot_stopped():
@@ -135,11 +120,10 @@ def test_a_play_with_large_errors_ends_where_the_robot_stopped():
     assert (play.first, play.last) == pytest.approx((0.0, 20.0), abs=0.2)
 
 
-@pytest.mark.parametrize("seconds", [5.0, 12.0, 40.0])
-def test_another_motion_is_not_found(seconds):
-    for start in {0.0, (40.0 - seconds) / 2.0}:
-        recorded = played(3.0 - start, 1.0, (start, start + seconds), seconds + 6.0, OTHER)
-        assert find_plays(*recorded, MOTION).plays == ()
+@pytest.mark.parametrize(("start", "seconds"), [(0.0, 5.0), (17.5, 5.0), (0.0, 40.0)])
+def test_another_motion_is_not_found(start, seconds):
+    recorded = played(3.0 - start, 1.0, (start, start + seconds), seconds + 6.0, OTHER)
+    assert find_plays(*recorded, MOTION).plays == ()
 
 
 def test_a_part_of_a_motion_that_repeats_itself_is_ambiguous():

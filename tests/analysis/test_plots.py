@@ -6,10 +6,10 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from g1stream.analysis.plots import LONGEST_VIEW, draw
+from g1stream.analysis import plots
+from g1stream.analysis.plots import draw
 from g1stream.app.session import open_session
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.types import Phase
 
 AXES = ("pitch", "roll", "yaw")
 METADATA = {"motion": {"name": "dance"}, "stream": {"reason": "SIGINT"}}
@@ -43,7 +43,7 @@ def _words(figure):
 
 
 @pytest.mark.slow
-def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
+def test_the_overview(session, figures, tmp_path):
     draw(session, tmp_path / "tracking.png")
     pixels = imread(tmp_path / "tracking.png")
     assert pixels.shape[:2] == (1000, 1600)
@@ -51,31 +51,18 @@ def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
     for colour in ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#ffffff"):
         assert tuple(bytes.fromhex(colour[1:])) in colours
     assert [path.name for path in tmp_path.glob("tracking*")] == ["tracking.png"]
-
-
-@pytest.mark.slow
-def test_what_it_says(session, figures, tmp_path):
-    draw(session, tmp_path / "tracking.png")
     words = " | ".join(_words(figures[0]))
     for what in (
         "dance",
         "session.mcap",
-        "tracking delay 40.0 ms",
-        "2000 states compared over 4.0 s",
-        "ended early: SIGINT",
+        "40.0 ms",
+        "2000 states",
+        "SIGINT",
         "left_ankle_roll",
         "right_wrist_yaw",
         "left_hip_roll",
-        "worst of the others",
-        "RMS error of each limb",
-        "RMSE of each joint",
     ):
         assert what in words
-
-
-@pytest.mark.slow
-def test_the_lines_are_the_sessions(session, figures, tmp_path):
-    draw(session, tmp_path / "tracking.png")
     panel = next(a for a in figures[0].axes if a.get_title("left").startswith("left_hip_roll"))
     reference, measured = (np.asarray(line.get_ydata()) for line in panel.get_lines())
     stamps, state_stamps = session.reference.publish_time, session.measured.publish_time
@@ -120,12 +107,13 @@ def test_a_session_that_ended_before_play(play, take, write_session, figures, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("worst_at", "start"), [(1.0, -0.5), (23.0, 13.0), (39.5, 40.0 - LONGEST_VIEW)]
-)
-def test_a_long_session_is_shown_around_its_greatest_error(play, write_session, worst_at, start):
-    reference, measured = play(phases=((Phase.RAMP, 0.5), (Phase.PLAY, 40.002)))
+@pytest.mark.parametrize(("worst_at", "start"), [(0.2, -0.5), (2.3, 1.3), (3.9, 2.5)])
+def test_a_long_session_is_shown_around_its_greatest_error(
+    play, write_session, monkeypatch, worst_at, start
+):
+    monkeypatch.setattr(plots, "LONGEST_VIEW", 2.0)
+    reference, measured = play()
     times = (measured.publish_time - reference.publish_time[0]) / 1e9 - 0.5
     measured.q[np.searchsorted(times, worst_at), 11] += 2.0
     figure = open_session(write_session(reference, measured)).plot()
-    assert figure.axes[0].get_xlim() == pytest.approx((start, start + LONGEST_VIEW), abs=0.005)
+    assert figure.axes[0].get_xlim() == pytest.approx((start, start + 2.0), abs=0.005)

@@ -18,16 +18,6 @@ def session(play, write_session):
     )
 
 
-def test_phases_are_on_the_motions_clock(session):
-    assert [one.phase for one in session.phases] == [
-        Phase.RAMP,
-        Phase.PLAY,
-        Phase.HOLD,
-        Phase.DAMP,
-    ]
-    np.testing.assert_allclose([one.start_s for one in session.phases], [-0.5, 0.0, 4.0, 4.3])
-
-
 def test_a_phase_selects_the_samples_published_in_it(session):
     play = session.sel(phase="PLAY")
     whole = session.reference

@@ -7,7 +7,7 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.interpolate import make_interp_spline
 from scipy.special import stdtrit
 
-from g1stream.analysis.tracking import _t_975, compare, pooled
+from g1stream.analysis.tracking import _t_975, compare
 from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
@@ -25,25 +25,19 @@ def test_the_quantile_of_a_confidence_interval():
     np.testing.assert_allclose(quantiles, stdtrit(freedom, 0.975), rtol=4e-4)
 
 
-def test_the_rmse_of_a_robot_that_is_late(play, motion):
+def test_the_rmse_of_a_robot_that_is_late_or_sags(play, motion):
     delay = 0.04
-    tracking = compare(*play(delay))
+    late, sagging = compare(*play(delay)), compare(*play(offset=-SAG))
     # sin(a) - sin(a - wd) = 2 sin(wd/2) cos(a - wd/2), whose RMS over a period is sqrt(2) sin(wd/2)
     expected = np.sqrt(2) * motion.amplitude * np.sin(motion.omega * delay / 2)
-    np.testing.assert_allclose(tracking.rmse, expected, atol=STRAIGHT)
-    np.testing.assert_allclose(tracking.mean, 0.0, atol=STRAIGHT)
-    largest = 2 * motion.amplitude * np.sin(motion.omega * delay / 2)
-    np.testing.assert_allclose(tracking.max_abs, largest, rtol=1e-4, atol=STRAIGHT)
+    np.testing.assert_allclose(late.rmse, expected, atol=STRAIGHT)
+    np.testing.assert_allclose(late.mean, 0.0, atol=STRAIGHT)
+    np.testing.assert_allclose(late.max_abs, np.sqrt(2) * expected, rtol=1e-4, atol=STRAIGHT)
+    np.testing.assert_allclose(sagging.mean, SAG, atol=STRAIGHT)
+    np.testing.assert_allclose(sagging.rmse, np.abs(SAG), atol=STRAIGHT)
 
 
-def test_the_rmse_of_a_robot_that_sags(play):
-    tracking = compare(*play(offset=-SAG))
-    np.testing.assert_allclose(tracking.mean, SAG, atol=STRAIGHT)
-    np.testing.assert_allclose(tracking.rmse, np.abs(SAG), atol=STRAIGHT)
-    assert tracking.delay.seconds == pytest.approx(0.0, abs=1e-5)
-
-
-@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.0021, 0.0377, 0.1204])
+@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.1204])
 def test_the_delay_is_found_beside_a_sag(play, delay):
     # 3.3 s are no whole number of periods, so that the joints' means differ from place to place.
     phases = ((Phase.RAMP, 0.5), (Phase.PLAY, 3.3), (Phase.HOLD, 0.3))
@@ -100,8 +94,7 @@ def test_a_short_stall_of_the_reference_is_compared(play, take):
     reference, measured = play(0.04)
     at = (reference.publish_time - reference.publish_time[0]) / 1e9
     tracking = compare(take(reference, (at < 2.0) | (at > 2.05)), measured)
-    assert tracking.excluded == 0
-    assert len(tracking.time) == 2000
+    assert (tracking.excluded, len(tracking.time)) == (0, 2000)
 
 
 def test_the_order_of_the_file_does_not_matter(play, take):
@@ -153,22 +146,12 @@ def test_without_a_state_between_references_in_play_there_is_nothing(play, chang
     assert compare(reference, early) is None
 
 
-def test_a_group_is_all_its_joints_errors_together(play):
-    tracking = compare(*play(0.04, np.linspace(-0.2, 0.1, 29)))
-    error = tracking.reference - tracking.measured
-    for group, joints in JOINT_GROUPS.items():
-        expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
-        assert tracking.rmse_by_limb[group] == pytest.approx(expected, rel=1e-12)
-    assert pooled(tracking.rmse) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_position_that_is_not_finite_is_excluded(play, change, value):
+def test_a_position_that_is_not_finite_is_excluded(play, change):
     reference, measured = play()
     q = measured.q.copy()
-    q[1000, 3] = value
+    q[1000, 3], q[1001, 4] = np.nan, np.inf
     tracking = compare(reference, change(measured, q=q))
-    assert (len(tracking.time), tracking.excluded) == (1999, 1)
+    assert (len(tracking.time), tracking.excluded) == (1998, 2)
     assert np.isfinite(tracking.rmse).all()
 
 
@@ -177,7 +160,6 @@ def test_a_session_gives_the_same_and_keeps_it(play, write_session):
     found, expected = session.tracking(), compare(session.reference, session.measured)
     assert session.tracking() is found
     np.testing.assert_array_equal(found.error, expected.error)
-    assert found.delay.seconds == pytest.approx(0.04, abs=1e-4)
     np.testing.assert_allclose(found.time, found.motion_time, atol=1e-6)
     assert found.worst_joint == "left_hip_pitch_joint"
 
@@ -193,7 +175,9 @@ def test_nothing_to_compare_is_an_error(play, take, write_session, recorded):
 
 @pytest.mark.slow
 def test_the_rmse_is_that_of_another_reader(play, write_session):
-    path = write_session(*play(0.04, SAG))
+    path = write_session(
+        *play(0.04, SAG, ((Phase.RAMP, 0.1), (Phase.PLAY, 0.8), (Phase.HOLD, 0.1)))
+    )
     seen = {"/reference": [], "/lowstate": []}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -210,7 +194,8 @@ def test_the_rmse_is_that_of_another_reader(play, write_session):
     error = asked(states[inside]) - q[inside]
 
     summary = open_session(path).tracking().summary()
-    assert summary.compared_states == len(error) == 2000
+    assert summary.compared_states == len(error) == 400
+    assert summary.all_joints.rmse_rad == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
     for limb, joints in JOINT_GROUPS.items():
         expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
         assert summary.limbs[limb].rmse_rad == pytest.approx(expected, rel=1e-9)

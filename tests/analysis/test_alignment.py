@@ -1,7 +1,3 @@
-"""Where a motion is in recorded joints: against times, speeds and parts that are known."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Sessions without a reference get one: ours with it removed, and those of others."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The cause that is told of the greatest error is the one that was brought about."""
-
 from contextlib import contextmanager
 from itertools import count
 

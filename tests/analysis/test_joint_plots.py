@@ -1,5 +1,3 @@
-"""A panel for each joint and quantity, of whatever a session has."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The metrics of sessions whose errors are known, and of sessions that lack something."""
-
 import re
 from collections import Counter
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The picture is a file, whole or not there, and shows what it should."""
-
 import matplotlib as mpl
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-"""What a session is asked in a notebook: phases, parts of it, tracking, and the figure."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The signals that plots show: their values, and that reducing them hides no peak."""
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The summary of sessions whose figures are known."""
-
 import json
 import math
 

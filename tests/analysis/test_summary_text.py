@@ -1,5 +1,3 @@
-"""The text of a summary: one snapshot holds the words."""
-
 import os
 from pathlib import Path
 

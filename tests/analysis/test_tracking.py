@@ -1,5 +1,3 @@
-"""Tracking figures against errors known in closed form, and against scipy."""
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader

@@ -1,5 +1,3 @@
-"""Joining a domain, seeing who is there, and leaving nothing behind."""
-
 import gc
 import os
 import socket

@@ -1,5 +1,3 @@
-"""Raw writers and readers over real DDS."""
-
 import time
 from types import SimpleNamespace
 

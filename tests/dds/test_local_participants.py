@@ -1,5 +1,3 @@
-"""The programs of this machine that are on DDS, by their ports alone."""
-
 import subprocess
 import sys
 

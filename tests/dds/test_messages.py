@@ -1,5 +1,3 @@
-"""Samples as bytes and as fields."""
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,3 @@
-"""The motion service's types against idl/ and the SDK's bytes, and the client against a server."""
-
-from __future__ import annotations
-
 import dataclasses
 import json
 import threading

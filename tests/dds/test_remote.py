@@ -1,5 +1,3 @@
-"""The remote control, from bytes made by hand."""
-
 import pytest
 
 from g1stream.dds.messages import LowState

@@ -1,5 +1,3 @@
-"""Counting what did not come, from ticks made by hand."""
-
 import pytest
 
 from g1stream.dds.ticks import TickGaps

@@ -1,5 +1,3 @@
-"""The Python types against idl/, the source of truth for the wire."""
-
 from cyclonedds.idl import types as cyclone_types
 
 from g1stream.dds.layout import members

@@ -1,5 +1,3 @@
-"""Each thing that can be wrong leads to a finding that names it, and nothing else does."""
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,3 @@
-"""The wake-up latency, measured on a clock of known lateness."""
-
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import pytest

@@ -1,5 +1,3 @@
-"""The facts of a real domain with known endpoints in it."""
-
 import threading
 import time
 from importlib.metadata import version

@@ -1,7 +1,3 @@
-"""Clocks that are set and clocks that differ, by readings made up."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

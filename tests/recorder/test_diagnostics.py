@@ -1,7 +1,3 @@
-"""Samples that were published and did not arrive."""
-
-from __future__ import annotations
-
 import os
 import socket
 

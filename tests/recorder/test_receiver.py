@@ -1,7 +1,3 @@
-"""The process that receives, and what becomes of a recording when it goes wrong."""
-
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -1,5 +1,3 @@
-"""Tables against the arrays they are made of."""
-
 import sys
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The schemas of the channels, read by the decoders that other people's tools are made of."""
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,3 @@
-"""Logs of other programs as sessions: CSV of several kinds, and Foxglove's joint states."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms

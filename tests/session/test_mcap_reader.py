@@ -1,5 +1,3 @@
-"""Files of every kind, against the stock reader and writer."""
-
 import os
 import zlib
 

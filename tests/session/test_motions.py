@@ -1,5 +1,3 @@
-"""Motions from motion files, and from sessions against the motion that was played in them."""
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms

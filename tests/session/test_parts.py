@@ -1,7 +1,3 @@
-"""A split recording: a directory as rosbag2 writes it, read as one session."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

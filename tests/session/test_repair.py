@@ -1,7 +1,3 @@
-"""Sessions of killed recorders, mended, as the stock reader and pymcap-cli's doctor see them."""
-
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

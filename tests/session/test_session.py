@@ -1,5 +1,3 @@
-"""A session as arrays, against the figures that the samples were made of."""
-
 import re
 
 import numpy as np

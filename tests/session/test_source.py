@@ -1,5 +1,3 @@
-"""A session in memory reads as the same session on disk does."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The samples of a topic as arrays: what is read, and parts of it."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The records of a session's summary, written to metadata and read back."""
-
 import json
 import math
 

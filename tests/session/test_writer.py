@@ -1,5 +1,3 @@
-"""What the writer leaves on disk, read with the stock mcap reader and other people's decoders."""
-
 import gc
 import signal
 import struct

@@ -1,5 +1,3 @@
-"""The derived channels, decoded by the official classes and followed as a viewer follows them."""
-
 import math
 import struct
 from io import StringIO

@@ -1,7 +1,3 @@
-"""Layouts show only what is in session files, as official decoders see it."""
-
-from __future__ import annotations
-
 import json
 import re
 from typing import Any

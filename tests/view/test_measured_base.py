@@ -1,7 +1,3 @@
-"""Where the measured pelvis is shown, against scipy's rotations."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,3 @@
-"""Batches of wire samples in, messages of the file out, with no DDS participant."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The scene and the description, decoded by the official classes and by a ROS 2 decoder."""
-
 from dataclasses import replace
 
 import numpy as np

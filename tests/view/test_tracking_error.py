@@ -1,7 +1,3 @@
-"""The tracking error against trajectories whose difference is known at every time."""
-
-from __future__ import annotations
-
 import numpy as np
 
 from g1stream.view.pipeline import Track, TrackingError

@@ -1,8 +1,9 @@
 """Session files made of samples whose figures are known."""
 
-from __future__ import annotations
+from io import BytesIO
 
 import pytest
+from mcap.reader import make_reader
 
 from g1stream.session.format import encode_log
 from g1stream.session.writer import SessionWriter
@@ -35,3 +36,8 @@ def write_session(tmp_path):
         return path
 
     return write
+
+
+def stock_reader(path, **options):
+    """The stock reader of a file, which need not stay open."""
+    return make_reader(BytesIO(path.read_bytes()), **options)

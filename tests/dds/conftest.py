@@ -8,19 +8,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from g1stream.dds import types
-from g1stream.dds.layout import Layout, members
+from g1stream.dds.layout import Layout
 
 IDL_DIR = Path(__file__).parents[2] / "idl"
 
 
 class Declared(NamedTuple):
-    """A struct of an IDL file.
-
-    Attributes:
-        annotations: those above it, such as `@final`.
-        fields: name -> (IDL name of the element's type, array length or None), in order.
-    """
+    """A struct of an IDL file; a field is name -> (IDL name of the element's type, length)."""
 
     annotations: list[str]
     fields: dict[str, tuple[str, int | None]]
@@ -29,74 +23,17 @@ class Declared(NamedTuple):
 @pytest.fixture(scope="session")
 def declared():
     """Every struct of idl/ by its full name, such as `unitree_hg.msg.dds_.LowCmd_`."""
-    found: dict[str, Declared] = {}
-    for file in sorted(IDL_DIR.glob("*/*.idl")):
-        found |= _parse(file.read_text())
-    return found
-
-
-def _parse(text):
-    text = re.sub(r"//.*|/\*.*?\*/|^\s*#.*", "", text, flags=re.MULTILINE)
-    found: dict[str, Declared] = {}
-    scope: list[str] = []
-    annotations: list[str] = []
-    statement = re.compile(
-        r"(?P<annotation>@\w+)"
-        r"|module\s+(?P<module>\w+)\s*{"
-        r"|struct\s+(?P<struct>\w+)\s*{(?P<body>[^}]*)}\s*;"
-        r"|(?P<end>}\s*;)"
-        r"|(?P<other>\S)"
-    )
-    for match in statement.finditer(text):
-        assert not match["other"], f"not in the subset of IDL: {text[match.start() :][:40]}"
-        if match["annotation"]:
-            annotations.append(match["annotation"])
-        elif match["module"]:
-            scope.append(match["module"])
-        elif match["end"]:
-            scope.pop()
-        else:
-            found[".".join([*scope, match["struct"]])] = Declared(
-                annotations, _parse_fields(match["body"])
-            )
-            annotations = []
-    assert not scope
-    return found
-
-
-def _parse_fields(body):
-    fields: dict[str, tuple[str, int | None]] = {}
-    *fields_text, rest = body.split(";")
-    assert not rest.strip()
-    for text in fields_text:
-        match = re.fullmatch(r"\s*([\w\s<>]+?)\s+(\w+)\s*(?:\[(\d+)\])?\s*", text)
-        assert match, f"not in the subset of IDL: {text}"
-        fields[match[2]] = (" ".join(match[1].split()), int(match[3]) if match[3] else None)
-    return fields
-
-
-def all_types():
-    """Every cyclonedds class of ours with a fixed size, those inside others included."""
     found = {}
-    pending = [getattr(types, name) for name in types.__all__]
-    while pending:
-        idl_type = pending.pop()
-        found[idl_type.__idl_typename__] = idl_type
-        pending += [
-            element for element, _ in members(idl_type).values() if not isinstance(element, str)
-        ]
-    return [found[name] for name in sorted(found)]
-
-
-@pytest.fixture(params=all_types(), ids=lambda t: t.__idl_typename__)
-def idl_type(request):
-    """Each type in turn."""
-    return request.param
-
-
-@pytest.fixture(scope="session")
-def our_types():
-    return all_types()
+    for file in IDL_DIR.glob("*/*.idl"):
+        text = re.sub(r"//.*", "", file.read_text())
+        module = ".".join(re.findall(r"module\s+(\w+)", text))
+        for marks, name, body in re.findall(r"((?:@\w+\s+)*)struct\s+(\w+)\s*{([^}]*)}", text):
+            fields = re.findall(r"([\w<>][\w <>]*?)\s+(\w+)\s*(?:\[(\d+)\])?\s*;", body)
+            assert len(fields) == body.count(";")
+            found[f"{module}.{name}"] = Declared(
+                marks.split(), {field: (kind, int(n) if n else None) for kind, field, n in fields}
+            )
+    return found
 
 
 @pytest.fixture(scope="session")

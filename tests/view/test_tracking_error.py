@@ -15,31 +15,37 @@ def ramp(times_ms, offset=0.0, delay_ms=0.1):
     return Track(stamps, logged, seconds * SLOPE + offset, np.tile(SLOPE, (len(stamps), 1)))
 
 
-def test_the_reference_is_interpolated_at_the_time_of_the_state():
+def errors_of(references, *states):
+    """The errors of states, the first of which come before the references."""
     error = TrackingError(29)
-    error.add_references(ramp(np.arange(0, 100, 2)))
-    error.add_states(ramp(np.arange(10, 60, 3.3), offset=0.25))
-    errors = error.take()
+    first, *others = states
+    error.add_states(first)
+    error.add_references(references)
+    for later in others:
+        error.add_states(later)
+    return error.take()
+
+
+def published_ms(errors):
+    return ((errors.publish_times - T0) / MS).tolist()
+
+
+def test_the_reference_is_interpolated_at_the_time_of_the_state():
+    errors = errors_of(ramp(np.arange(0, 100, 2)), ramp(np.arange(10, 60, 3.3), offset=0.25))
     assert len(errors.publish_times) == len(np.arange(10, 60, 3.3))
     np.testing.assert_allclose(errors.q, -0.25, atol=1e-12)
     np.testing.assert_allclose(errors.dq, 0.0, atol=1e-12)
 
 
 def test_log_time_is_that_of_the_last_sample_used():
-    error = TrackingError(29)
-    error.add_references(ramp([0, 10], delay_ms=5))
-    error.add_states(ramp([5, 10], delay_ms=1))
-    errors = error.take()
-    assert ((errors.publish_times - T0) / MS).tolist() == [5, 10]
+    errors = errors_of(ramp([0, 10], delay_ms=5), ramp([5, 10], delay_ms=1))
+    assert published_ms(errors) == [5, 10]
     assert ((errors.log_times - T0) / MS).tolist() == [15, 15]
 
 
 def test_errors_do_not_depend_on_how_batches_are_cut():
     references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 1), offset=0.1)
-    whole = TrackingError(29)
-    whole.add_references(references)
-    whole.add_states(states)
-    expected = whole.take().q
+    expected = errors_of(references, states).q
     cut, made = TrackingError(29), []
     for start in range(0, 400, 37):
         cut.add_states(states.where(slice(start, start + 37)))
@@ -50,34 +56,19 @@ def test_errors_do_not_depend_on_how_batches_are_cut():
     np.testing.assert_array_equal(np.concatenate(made), expected)
 
 
-def test_states_before_the_first_reference_have_no_error():
-    error = TrackingError(29)
-    error.add_states(ramp([0, 5]))
-    error.add_references(ramp([10, 20]))
-    error.add_states(ramp([15]))
-    published = error.take().publish_times
-    assert ((published - T0) / MS).tolist() == [15]
-
-
-def test_states_in_a_gap_of_the_reference_have_no_error():
-    error = TrackingError(29)
-    error.add_references(ramp([0, 10, 500, 510]))
-    error.add_states(ramp([5, 250, 505]))
-    published = error.take().publish_times
-    assert ((published - T0) / MS).tolist() == [5, 505]
+def test_states_before_the_first_reference_and_in_its_gaps_have_no_error():
+    assert published_ms(errors_of(ramp([10, 20]), ramp([0, 5]), ramp([15]))) == [15]
+    assert published_ms(errors_of(ramp([0, 10, 500, 510]), ramp([5, 250, 505]))) == [5, 505]
 
 
 def test_waiting_samples_are_dropped_after_a_second():
-    error = TrackingError(29)
-    for start in range(0, 20_000, 1000):
-        error.add_states(ramp(np.arange(start, start + 1000)))
-        assert len(error.take().q) == 0
-    assert len(error._states.q) <= 1001
-    error = TrackingError(29)
-    for start in range(0, 20_000, 1000):
-        error.add_references(ramp(np.arange(start, start + 1000)))
-        error.take()
-    assert len(error._references.q) <= 1001
+    waiting, alone = TrackingError(29), TrackingError(29)
+    for start in range(0, 5000, 1000):
+        waiting.add_states(ramp(np.arange(start, start + 1000)))
+        alone.add_references(ramp(np.arange(start, start + 1000)))
+        assert len(waiting.take().q) == len(alone.take().q) == 0
+    assert len(waiting._states.q) <= 1001
+    assert len(alone._references.q) <= 1001
 
 
 def test_a_state_that_comes_a_batch_late_finds_its_reference():

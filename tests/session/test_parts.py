@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 import yaml
-from mcap.reader import make_reader
 
 from g1stream.app.session import open_session
 from g1stream.dds.layout import CDR_HEADER, Layout
@@ -11,6 +10,7 @@ from g1stream.session.format import metadata_from_strings
 from g1stream.session.parts import check_recording_path
 from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
+from written_sessions import stock_reader
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -18,17 +18,18 @@ SECOND = 1000 * MS
 STEP = 100 * MS
 N = 60
 PART_NS = 2 * SECOND
+TOPICS = {"lowcmd": LOWCMD, "lowstate": LOWSTATE}
 
 
 @pytest.fixture
 def samples():
     rng = np.random.default_rng(3)
-
-    def some(topic):
-        size = Layout.of(topic.message.idl_type).sample_size
-        return [CDR_HEADER + rng.bytes(size - len(CDR_HEADER)) for _ in range(N)]
-
-    return {"/lowcmd": some(LOWCMD), "/lowstate": some(LOWSTATE)}
+    sizes = {
+        f"/{name}": Layout.of(topic.idl_type).sample_size - 4 for name, topic in TOPICS.items()
+    }
+    return {
+        topic: [CDR_HEADER + rng.bytes(size) for _ in range(N)] for topic, size in sizes.items()
+    }
 
 
 def file_header(writer):
@@ -41,9 +42,9 @@ def file_header(writer):
 def write_parts(tmp_path, samples):
     """Writes N samples of both topics in parts of two seconds: three parts."""
 
-    def write(name="session.mcap", **options):
-        path = tmp_path / name
-        with SessionWriter(path, split_ns=PART_NS, file_header=file_header, **options) as writer:
+    def write(**options):
+        settings = {"split_ns": PART_NS, "file_header": file_header, **options}
+        with SessionWriter(tmp_path / "session.mcap", **settings) as writer:
             for i in range(N):
                 for topic, data in samples.items():
                     writer.write(topic, data[i], T0 + i * STEP + 9, T0 + i * STEP)
@@ -56,14 +57,11 @@ def write_parts(tmp_path, samples):
 
 def read(path):
     """Messages (topic, message), metadata and attachments, by the stock reader."""
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        messages = [(c.topic, m) for _, c, m in reader.iter_messages()]
-        metadata = {}
-        for one in reader.iter_metadata():
-            metadata |= metadata_from_strings(one.metadata)
-        attached = [one.name for one in reader.iter_attachments()]
-    return messages, metadata, attached
+    reader, metadata = stock_reader(path, validate_crcs=True), {}
+    for one in reader.iter_metadata():
+        metadata |= metadata_from_strings(one.metadata)
+    attached = [one.name for one in reader.iter_attachments()]
+    return [(c.topic, m) for _, c, m in reader.iter_messages()], metadata, attached
 
 
 def test_each_part_is_whole_by_itself_and_nothing_is_lost_between(write_parts, tmp_path):

@@ -6,7 +6,6 @@ import sys
 import pytest
 import yaml
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from g1stream.app.session import open_session
@@ -15,6 +14,7 @@ from g1stream.errors import RecordingError
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.repair import repair_session
 from g1stream.session.writer import SessionWriter
+from written_sessions import stock_reader
 
 TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
 
@@ -24,23 +24,24 @@ def sent(make_sample, on_the_wire):
     return {t: [on_the_wire(make_sample(topic)) for _ in range(40)] for t, topic in TOPICS.items()}
 
 
-def doctor(path):
-    """The run of pymcap-cli's check of a file."""
+def passes_doctor(path):
+    """Check a file with pymcap-cli."""
     program = "from sys import exit; from pymcap_cli.cli import main; exit(main())"
     command = [sys.executable, "-c", program, "doctor", str(path)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stdout
+    assert "passed" in result.stdout
 
 
 def by_stock_reader(path):
     """Topic, log time and data of the messages; names of attachments and metadata, by index."""
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        summary = reader.get_summary()
-        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
-        assert summary.statistics.message_count == len(found)
-        assert len(summary.chunk_indexes) == summary.statistics.chunk_count
-        names = [one.name for one in reader.iter_attachments()]
-        return found, names, [one.name for one in reader.iter_metadata()]
+    reader = stock_reader(path, validate_crcs=True)
+    summary = reader.get_summary()
+    found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+    assert summary.statistics.message_count == len(found)
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count
+    names = [one.name for one in reader.iter_attachments()]
+    return found, names, [one.name for one in reader.iter_metadata()]
 
 
 @pytest.mark.parametrize("share", [0.35, 0.99])
@@ -59,9 +60,7 @@ def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, 
     assert len(found) == done.messages
     assert (attachments, metadata) == (["motion.csv"], ["g1stream", "g1stream.repaired"])
     assert any("did not close the file" in one for one in repaired.summary().problems)
-    result = doctor(path)
-    assert result.returncode == 0, result.stdout
-    assert "passed" in result.stdout
+    passes_doctor(path)
     again = path.read_bytes()
     assert repair_session(path)[0].dropped is None
     assert path.read_bytes() == again
@@ -122,8 +121,7 @@ def test_messages_outside_of_chunks_are_read_and_kept(tmp_path, finish, chunks_b
     found, attachments, metadata = by_stock_reader(path)
     assert sorted(found) == sorted((t, i, data) for t in expected for i, _, data in expected[t])
     assert (attachments, metadata) == (["a.txt"], ["theirs"])
-    with path.open("rb") as file:
-        channels = make_reader(file).get_summary().channels.values()
+    channels = stock_reader(path).get_summary().channels.values()
     assert {one.topic: one.metadata for one in channels} == {
         topic: {"callerid": topic} for topic in expected
     }

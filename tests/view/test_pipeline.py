@@ -119,17 +119,17 @@ def test_batches_become_what_viewers_show():
 
 
 def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
-    made = {
-        name: {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
+    standard, full = (
+        {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
         for name in ("standard", "full")
-    }
-    assert made["standard"].keys() == made["full"].keys() > JOINT_STATES
-    for topic, full in made["full"].items():
-        standard = made["standard"][topic]
+    )
+    assert standard.keys() == full.keys() > JOINT_STATES
+    for topic, whole in full.items():
         kept = slice(None, None, 5) if topic in JOINT_STATES else slice(None)
-        assert standard.publish_times.tolist() == full.publish_times[kept].tolist()
-        assert standard.log_times.tolist() == full.log_times[kept].tolist()
-        assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
+        thinned = standard[topic]
+        assert thinned.publish_times.tolist() == whole.publish_times[kept].tolist()
+        assert thinned.log_times.tolist() == whole.log_times[kept].tolist()
+        assert list(map(bytes, thinned.payloads)) == list(map(bytes, whole.payloads))[kept]
 
 
 def test_an_imu_that_sends_zeros_leaves_no_invalid_transform():
@@ -177,7 +177,7 @@ def test_timing_has_the_longest_interval_and_latency_of_each_span():
     ]
 
 
-@pytest.mark.parametrize(("rate", "kept"), [(500, 100), (1000, 100), (100, 100), (30, 30)])
+@pytest.mark.parametrize(("rate", "kept"), [(1000, 100), (100, 100), (30, 30)])
 def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
     stamps = T0 + np.arange(rate) * (1_000_000_000 // rate)
     decimator = Decimator(100)

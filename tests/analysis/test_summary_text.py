@@ -240,7 +240,6 @@ CASES = {
         termination=Termination(reason="", played_s=6.0, motion_s=14.0, start_s=2.0),
         stream=STREAM,
     ),
-    "nothing": Summary(),
 }
 
 

@@ -17,6 +17,7 @@ from g1stream.types import Phase
 T0 = 1_700_000_000_000_000_000
 LATENCY = 100_000
 SECONDS = 12
+ELSEWHERE = np.array([3.0, -2.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def strangers(motion):
                 "imu_state.quaternion": quat_mul(quat_from_yaw(0.7), done.root_quat_wxyz),
             },
             SPORTMODESTATE: {
-                "position": quat_rotate(quat_from_yaw(0.7), done.root_pos) + (3.0, -2.0, 0.0)
+                "position": quat_rotate(quat_from_yaw(0.7), done.root_pos) + ELSEWHERE
             },
         }
         source = MemorySource("stranger")

@@ -27,8 +27,12 @@ def named(pattern, values):
     return {pattern.format(name): values[:, i] for i, name in enumerate(JOINT_NAMES)}
 
 
-def seconds(stream):
-    return (stream.publish_time - stream.publish_time[0]) / 1e9
+def has(session, **expected):
+    """The measured columns of a session, and the times."""
+    times = session.measured.publish_time
+    np.testing.assert_allclose((times - times[0]) / 1e9, TIME, atol=2e-6)
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(session.measured, name), values, atol=1e-6)
 
 
 def test_columns_are_told_by_the_words_in_their_names(tmp_path):
@@ -42,15 +46,8 @@ def test_columns_are_told_by_the_words_in_their_names(tmp_path):
         "voltage": TIME,
     }
     session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
-    measured = session.measured
-    for found, expected in (
-        (measured.q, Q),
-        (measured.dq, DQ),
-        (measured.tau, 2 * Q),
-        (session.command.q, TARGETS),
-        (measured.imu_quat_wxyz, QUAT),
-    ):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    has(session, q=Q, dq=DQ, tau=2 * Q, imu_quat_wxyz=QUAT)
+    np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
     assert "unit assumed" in session.metadata["log"]["time"]
     assert session.summary().problems == []
 
@@ -70,7 +67,7 @@ def test_names_that_tools_give_to_columns(tmp_path, measured, target):
         for number, joint in enumerate(JOINT_NAMES):
             columns[pattern.format(joint=joint, number=number)] = values[:, number]
     session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
-    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
+    has(session, q=Q)
     if "targets" not in target:  # a word that says nothing is not guessed at
         np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
 
@@ -90,10 +87,10 @@ def test_names_that_tools_give_to_columns(tmp_path, measured, target):
 def test_times_are_read_in_their_unit(tmp_path, name, factor, start):
     columns = {name: np.round((start + TIME) * factor, 3), **named("{}", Q)}
     path = write_csv(tmp_path / "log.csv", columns, ["%.3f", *["%.9g"] * 29])
-    measured = g1stream.open_session(path).measured
-    np.testing.assert_allclose(seconds(measured), TIME, atol=2e-6)
+    session = g1stream.open_session(path)
+    has(session, q=Q)
     if start == EPOCH:
-        assert measured.publish_time[0] == EPOCH * 10**9
+        assert session.measured.publish_time[0] == EPOCH * 10**9
 
 
 def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
@@ -105,15 +102,8 @@ def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
     columns = {f"base_q{axis}": QUAT[:, i] for i, axis in enumerate("wxyz")}
     write_csv(tmp_path / "base_quat.csv", stamps | columns)
     session = g1stream.open_session(tmp_path)
-    measured = session.measured
-    for found, expected in (
-        (measured.q, Q),
-        (measured.dq, DQ),
-        (session.command.q, TARGETS),
-        (measured.imu_quat_wxyz, QUAT),
-        (seconds(measured), TIME),
-    ):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    has(session, q=Q, dq=DQ, imu_quat_wxyz=QUAT)
+    np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
 
 
 def test_joints_that_a_log_lacks_are_absent(tmp_path):
@@ -160,7 +150,6 @@ def test_joint_states_and_transforms_of_foxglove(tmp_path):
                 writer.write_message(topic, message, log_time=stamp + 7, publish_time=stamp)
     session = g1stream.open_session(path)
     assert session.topics == {"/lowstate": 200, "/sportmodestate": 200}
-    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
-    np.testing.assert_allclose(session.measured.imu_quat_wxyz, QUAT, atol=1e-6)
+    has(session, q=Q, imu_quat_wxyz=QUAT)
     np.testing.assert_allclose(session.base.position[:, 0], TIME, atol=1e-6)
     assert session.measured.publish_time[0] == EPOCH * 10**9

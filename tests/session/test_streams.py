@@ -51,26 +51,18 @@ def test_the_first_column_reads_all_in_one_pass_and_named_columns_those_alone(me
     assert len(reads) == 1
 
 
-def test_float32_becomes_float64_where_it_is_used_as_an_attribute(reads):
+def test_float32_becomes_float64_where_it_is_used_as_an_attribute():
     values = np.arange(N * 29, dtype=np.float32).reshape(N, 29) / 3
-
-    def load(names):
-        reads.append(names)
-        times = dict.fromkeys(("log_time", "publish_time"), np.arange(N))
-        return {name: values if name == "q" else times[name] for name in names}
-
-    stream = MeasuredStream(load)
+    whole = {"log_time": np.arange(N), "publish_time": np.arange(N), "q": values}
+    stream = MeasuredStream(lambda names: {name: whole[name] for name in names})
+    stream.read("q")
     assert stream.recorded("q") is values
-    part = stream[1:3]
-    assert part.recorded("q").dtype == np.float32
+    assert stream[1:3].recorded("q").dtype == np.float32
     for q in (stream.rows("q", slice(None)), stream.q):
         assert q.dtype == np.float64
         np.testing.assert_array_equal(q, values)
-    assert stream.recorded("q") is stream.q
-    assert len(reads) == 1
     stream.drop("q")
     np.testing.assert_array_equal(stream.rows("q", [4]), values[4:])
-    assert reads[1:] == [["q"]]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
 import re
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -47,15 +46,6 @@ def test_tracking_is_that_of_the_summary(rollout):
         assert {name: (one.rmse_rad, one.max_abs_rad) for name, one in found.items()} == {
             name: (one.rmse_rad, one.max_abs_rad) for name, one in told.items()
         }
-
-
-def test_references_and_states_are_read_once(play, write_session):
-    """Commands again, to check samples of them, and for their torque, which is not kept."""
-    session = g1stream.open_session(write_session(*play()))
-    read, batches = Counter(), session.source.batches
-    session.source.batches = lambda topics: read.update(topics) or batches(topics)
-    session.metrics()
-    assert (read["/reference"], read["/lowstate"]) == (1, 1)
 
 
 def test_the_docs_list_the_short_names():

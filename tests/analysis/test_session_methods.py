@@ -27,13 +27,6 @@ def test_a_phase_selects_the_samples_published_in_it(session):
     np.testing.assert_array_equal(play.measured.time, session.measured.time[inside])
 
 
-def test_the_phases_share_out_all_samples(session):
-    parts = [session.sel(phase) for phase in ("RAMP", Phase.PLAY, "hold", "DAMP")]
-    joined = np.concatenate([part.reference.publish_time for part in parts])
-    np.testing.assert_array_equal(joined, session.reference.publish_time)
-    assert len(session.sel("WAIT").reference) == 0
-
-
 def test_a_time_range_includes_both_ends(session):
     part = session.sel(time=slice(1.0, 2.0))
     np.testing.assert_allclose(part.reference.time[[0, -1]], [1.0, 2.0])

@@ -103,17 +103,6 @@ def test_messages_stay_in_order_where_chunks_have_different_topics(tmp_path):
     assert [list(data) for data in found.values()] == [[0, 1, 2, 4, 6, 8], [1, 3, 5, 6, 7]]
 
 
-def test_only_chunks_with_a_wanted_topic_are_unpacked(tmp_path):
-    chunks = [[(topic, i, bytes(100)) for i in range(50)] for topic in ("/a", "/b")]
-    path = write_chunks(tmp_path / "f.mcap", chunks)
-    content = path.read_bytes()
-    flip(path, content.index(b"zstd", content.index(b"zstd") + 4) + 30, 0xFF)  # the second chunk
-    damaged = McapFile(path)
-    assert ours(damaged, "/a") == [(T0 + i, T0 + i, bytes(100)) for i in range(50)]
-    with pytest.raises(RecordingError, match="damaged"):
-        ours(damaged, "/b")
-
-
 def test_an_index_into_the_next_chunk_is_noticed(tmp_path):
     path = write(tmp_path / "f.mcap", compression=CompressionType.NONE)
     file = McapFile(path)

@@ -169,13 +169,3 @@ def test_the_bytes_come_back_with_their_times(sent, write_session):
         np.testing.assert_array_equal(times[topic].publish_time, T0 + STEP * np.arange(17))
         np.testing.assert_array_equal(times[topic].log_time, times[topic].publish_time + DELAY)
     assert list(session.replay_bytes()) == sent["/lowcmd"]
-
-
-def test_a_stream_is_read_once_and_alone(sent, write_session):
-    path = write_session(*sent.items())
-    session = open_session(path)
-    q = session.measured.q
-    path.unlink()
-    assert session.measured.q is q
-    with pytest.raises(RecordingError, match="no session file"):
-        _ = session.command.q

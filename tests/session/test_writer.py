@@ -76,16 +76,6 @@ def test_every_compression_is_read_by_the_stock_reader(path, compression):
     assert [chunk.compression for chunk in chunks_of(path)] == expected
 
 
-def test_channels_are_there_once_used_and_topics_of_one_type_share_its_schema(path):
-    topics = ["/reference/joint_states", "/measured/joint_states"]
-    with SessionWriter(path) as writer:
-        for topic in 2 * topics:
-            writer.write(topic, b"", T0, T0)
-    summary = stock_reader(path).get_summary()
-    assert [schema.name for schema in summary.schemas.values()] == ["foxglove.JointStates"]
-    assert sorted(channel.topic for channel in summary.channels.values()) == sorted(topics)
-
-
 def test_a_chunk_spans_less_than_its_time_also_after_the_clock_was_set_back(path):
     with SessionWriter(path) as writer:
         for start in (T0, T0 - 10**12):

@@ -188,13 +188,6 @@ def test_a_ghost_is_inside_the_robot(robot, real, drawn):
                 assert volume_of(b) < volume_of(a)
 
 
-def test_a_session_has_a_ghost_that_is_smaller(robot):
-    header = {one.topic: one.payloads[0] for one in MessagePipeline(robot).file_header(T0)}
-    assert header["/ghost/scene"] == encode_scene(
-        T0, robot, GHOST_PREFIX, (0.1, 0.6, 1.0, 0.3), ghost=True
-    )
-
-
 def test_meshes_without_scenes_are_refused(robot):
     with pytest.raises(ConfigError, match="raw"):
         MessagePipeline(robot, RecordConfig(meshes=True, channels="raw"))

@@ -59,27 +59,16 @@ def test_an_empty_part_is_not_saved(session, tmp_path):
 
 
 def test_an_unknown_phase_is_named_beside_those_there_are(session):
-    with pytest.raises(RecordingError) as error:
+    with pytest.raises(RecordingError, match="JUMP.*PLAY"):
         session.sel("JUMP")
-    assert "JUMP" in error.value.cause
-    assert "PLAY" in error.value.remedy
 
 
-def test_without_a_topic_the_joints_in_play_are_side_by_side(play, write_session):
+def test_without_a_topic_the_joints_in_play_are_side_by_side(session):
     pytest.importorskip("pandas", reason="the extra `export` is not installed")
-    session = g1stream.open_session(write_session(*play(0.04)))
-    found = session.tracking()
-    table = session.to_dataframe()
+    found, table = session.tracking(), session.to_dataframe()
     assert table.index.name == "time"
     np.testing.assert_array_equal(table.index, found.time)
-    assert list(table.columns[:3]) == [
-        f"{what}.left_hip_pitch_joint" for what in ("reference", "measured", "error")
-    ]
     assert len(table.columns) == 3 * 29
-    knee = table.filter(like="left_knee")
-    np.testing.assert_array_equal(knee["reference.left_knee_joint"], found.reference[:, 3])
-    np.testing.assert_allclose(
-        knee["reference.left_knee_joint"] - knee["measured.left_knee_joint"],
-        knee["error.left_knee_joint"],
-    )
-    assert np.sqrt((knee["error.left_knee_joint"] ** 2).mean()) == pytest.approx(found.rmse[3])
+    for what in ("reference", "measured", "error"):
+        expected = getattr(found, what)[:, 3]
+        np.testing.assert_array_equal(table[f"{what}.left_knee_joint"], expected)

@@ -59,7 +59,7 @@ def test_an_empty_part_is_not_saved(session, tmp_path):
 
 
 def test_an_unknown_phase_is_named_beside_those_there_are(session):
-    with pytest.raises(RecordingError, match="JUMP.*PLAY"):
+    with pytest.raises(RecordingError, match=r"JUMP.*PLAY"):
         session.sel("JUMP")
 
 

@@ -16,12 +16,13 @@ from g1stream.session.repair import repair_session
 from g1stream.session.writer import SessionWriter
 from written_sessions import stock_reader
 
-TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
-
 
 @pytest.fixture
 def sent(make_sample, on_the_wire):
-    return {t: [on_the_wire(make_sample(topic)) for _ in range(40)] for t, topic in TOPICS.items()}
+    return {
+        f"/{topic.name[3:]}": [on_the_wire(make_sample(topic)) for _ in range(40)]
+        for topic in (LOWCMD, LOWSTATE)
+    }
 
 
 def passes_doctor(path):

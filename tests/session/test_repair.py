@@ -13,7 +13,6 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.repair import repair_session
-from g1stream.session.writer import SessionWriter
 from written_sessions import stock_reader
 
 
@@ -188,40 +187,37 @@ time.sleep(60)
 """
 
 
+def metadata_of(directory):
+    text = (directory / "metadata.yaml").read_text()
+    return yaml.safe_load(text)["rosbag2_bagfile_information"]
+
+
 def test_the_parts_of_a_killed_recorder_are_mended_but_not_while_it_records(tmp_path):
+    directory = tmp_path / "s"
     command = [sys.executable, "-c", RECORDER, str(tmp_path / "s.mcap")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout.readline() == "written\n"
             with pytest.raises(RecordingError, match="still being recorded"):
-                repair_session(tmp_path / "s")
+                repair_session(directory)
         finally:
             process.send_signal(signal.SIGKILL)
-    done = repair_session(tmp_path / "s")
+    done = repair_session(directory)
     assert [one.dropped for one in done] == [None, None, None, 0]
-    session = open_session(tmp_path / "s")
+    session = open_session(directory)
     assert session.complete
     times = [message.log_time for message in session.messages("/lowcmd")]
     assert times == [i * 5_000_000 for i in range(len(times))]
-    text = (tmp_path / "s" / "metadata.yaml").read_text()
-    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    about = metadata_of(directory)
     assert about["message_count"] == len(times) == sum(one.messages for one in done)
     assert about["duration"]["nanoseconds"] == times[-1]
     assert len(times) > 650
-
-
-def test_a_part_that_cannot_be_read_keeps_no_other_from_its_index(tmp_path):
-    with SessionWriter(tmp_path / "s.mcap", split_ns=1_000_000_000) as writer:
-        for i in range(500):
-            writer.write("/lowcmd", bytes(1008), i * 5_000_000, i * 5_000_000)
-            writer.flush_if_due(i * 5_000_000)
-    first, empty, cut = sorted((tmp_path / "s").glob("*.mcap"))
+    # A part that cannot be read keeps no other from its index.
+    first, empty, cut, last = session.paths
     empty.write_bytes(b"")
     cut.write_bytes(cut.read_bytes()[:-200])
     with pytest.raises(RecordingError, match=empty.name):
-        repair_session(tmp_path / "s")
-    assert McapFile(first).indexed
+        repair_session(directory)
     assert McapFile(cut).indexed
-    text = (tmp_path / "s" / "metadata.yaml").read_text()
-    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert about["message_count"] == McapFile(first).counts.total() + McapFile(cut).counts.total()
+    kept = [McapFile(path).counts.total() for path in (first, cut, last)]
+    assert metadata_of(directory)["message_count"] == sum(kept)

@@ -114,31 +114,32 @@ def test_the_base_is_missing_only_where_there_is_a_publisher(changed, wire, told
     assert ("base" in {finding.about for finding in evaluate(changed(wire=wire))}) is told
 
 
+def met(writer=STATE, reader=READER, state=COMING, matched=1, **more):
+    """A domain with a writer of LowState and a reader of LowCmd."""
+    return WireFacts((writer,), (reader,), state, matched, **more)
+
+
 # What is in the domain; what the finding is about, and values that it must name.
 MISMATCHES = {
     "other type": (
-        WireFacts((replace(STATE, same_type=False, type_name="Mine_"),), (READER,)),
+        met(replace(STATE, same_type=False, type_name="Mine_"), state=SILENT, matched=0),
         "types",
         (STATE.owner, "rt/lowstate", "Mine_"),
     ),
     "other QoS": (
-        WireFacts((replace(STATE, qos=Qos(partitions=("lab",))),), (READER,)),
+        met(replace(STATE, qos=Qos(partitions=("lab",))), state=SILENT, matched=0),
         "QoS",
         (STATE.owner, "rt/lowstate", "lab"),
     ),
-    "unmatched": (WireFacts((STATE,), (READER,), SILENT), "types", (STATE.owner, "rt/lowstate")),
-    "silent": (
-        WireFacts((STATE,), (READER,), replace(SILENT, malformed=3), 1),
-        "LowState",
-        ("0.2 s", "3 samples"),
-    ),
+    "unmatched": (met(state=SILENT, matched=0), "types", (STATE.owner, "rt/lowstate")),
+    "silent": (met(state=replace(SILENT, malformed=3)), "LowState", ("0.2 s", "3 samples")),
     "reader of another type": (
-        WireFacts((STATE,), (replace(READER, same_type=False),), COMING, 1),
+        met(reader=replace(READER, same_type=False)),
         "types",
         (READER.owner, "rt/lowcmd"),
     ),
     "demanding reader": (
-        WireFacts((STATE,), (replace(READER, qos=Qos(durability=1)),), COMING, 1),
+        met(reader=replace(READER, qos=Qos(durability=1))),
         "QoS",
         (READER.owner, "rt/lowcmd", "durability"),
     ),
@@ -171,15 +172,14 @@ def test_an_empty_domain_is_what_the_doctor_says_of_it(healthy):
 
 
 def test_a_robot_without_a_subscriber_leads_to_the_doctor():
-    (finding,) = explain_no_robot(7, "eth0", WireFacts((STATE,), (RECORDER,), COMING, 1))
+    (finding,) = explain_no_robot(7, "eth0", met(reader=RECORDER))
     assert finding.about == "LowCmd"
     assert "domain 7 on eth0" in finding.cause
     assert "g1stream doctor --domain 7 --interface eth0" in finding.remedy
 
 
 def test_a_robot_that_appears_too_late():
-    wire = WireFacts((STATE,), (READER,), COMING, 1, commands_matched=1)
-    (finding,) = explain_no_robot(1, "lo", wire)
+    (finding,) = explain_no_robot(1, "lo", met(commands_matched=1))
     assert (finding.level, finding.about) == (Level.WARNING, "wire")
 
 
@@ -190,7 +190,7 @@ def test_the_controller_that_moves_the_arms_for_us_is_not_to_be_ended(changed):
     for wrong in ({"writers": (STATE, SPORT, replace(ARM, owner="policy"))}, {"readers": ()}):
         (found,) = [one for one in evaluate(changed(wire=wire | wrong, via="arm_sdk")) if one.level]
         assert "rt/arm_sdk" in found.cause
-    (waited,) = explain_no_robot(7, "eth0", WireFacts((STATE,), (READER,), COMING, 1), "rt/arm_sdk")
+    (waited,) = explain_no_robot(7, "eth0", met(), "rt/arm_sdk")
     assert "rt/arm_sdk" in waited.cause
 
 

@@ -2,9 +2,14 @@
 
 from io import BytesIO
 
+import numpy as np
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap.reader import make_reader
+from mcap_protobuf.writer import Writer as ProtobufWriter
 
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.format import encode_log
 from g1stream.session.writer import SessionWriter
 
@@ -41,3 +46,36 @@ def write_session(tmp_path):
 def stock_reader(path, **options):
     """The stock reader of a file, which need not stay open."""
     return make_reader(BytesIO(path.read_bytes()), **options)
+
+
+def wave(i):
+    """(29,) rad, the pose of the i-th message of a recording."""
+    return 0.3 * np.sin(2 * np.pi * i / 130 + np.arange(29) / 5)
+
+
+@pytest.fixture
+def record(tmp_path):
+    """Joint states by Foxglove's classes at these times, and the pelvis with them.
+
+    `angles` has the pose of each index; `parts` the joints of the messages at each time.
+    """
+
+    def make(times, *, angles=wave, parts=(range(29),), prefix="", norm=1.0):
+        path = tmp_path / "take.mcap"
+        with path.open("wb") as file, ProtobufWriter(file) as writer:
+            for i, time in enumerate(times.tolist()):
+                for n, part in enumerate(parts):
+                    stamp, message = time + n * 3_000_000, JointStates()
+                    message.timestamp.FromNanoseconds(stamp)
+                    for joint in part:
+                        name, angle = prefix + JOINT_NAMES[joint], float(angles(i)[joint])
+                        message.joints.add(name=name, position=angle)
+                    writer.write_message("/joints", message, stamp + 7, stamp)
+                tf = FrameTransforms()
+                pose = tf.transforms.add(parent_frame_id="world", child_frame_id=prefix + "pelvis")
+                pose.timestamp.FromNanoseconds(time)
+                pose.translation.z, pose.rotation.w = 0.75 + 0.0005 * i, norm
+                writer.write_message("/frames", tf, time + 7, time)
+        return path
+
+    return make

@@ -1,8 +1,5 @@
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from mcap_protobuf.writer import Writer as ProtobufWriter
 from scipy.spatial.transform import Rotation
 
 from g1stream.app.session import open_session
@@ -10,48 +7,16 @@ from g1stream.dds.messages import Reference
 from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.readers import find_motion, load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
+from written_sessions import wave
 
 T0 = 1_700_000_000_000_000_000
-
-
-def wave(i):
-    return 0.3 * np.sin(2 * np.pi * i / 130 + np.arange(29) / 5)
 
 
 PERIOD = 20_000_000
 TIMES = T0 + np.arange(200) * PERIOD
 BEHIND = np.arange(200) >= 100
-
-
-@pytest.fixture
-def record(tmp_path):
-    """Joint states by Foxglove's classes at these times, and the pelvis with them.
-
-    `angles` has the pose of each index; `parts` the joints of the messages at each time.
-    """
-
-    def make(times, *, angles=wave, parts=(range(29),), prefix="", norm=1.0):
-        path = tmp_path / "take.mcap"
-        with path.open("wb") as file, ProtobufWriter(file) as writer:
-            for i, time in enumerate(times.tolist()):
-                for n, part in enumerate(parts):
-                    stamp, message = time + n * 3_000_000, JointStates()
-                    message.timestamp.FromNanoseconds(stamp)
-                    for joint in part:
-                        name, angle = prefix + JOINT_NAMES[joint], float(angles(i)[joint])
-                        message.joints.add(name=name, position=angle)
-                    writer.write_message("/joint_states", message, stamp, stamp)
-                tf = FrameTransforms()
-                pose = tf.transforms.add(parent_frame_id="world", child_frame_id=prefix + "pelvis")
-                pose.timestamp.FromNanoseconds(time)
-                pose.translation.z, pose.rotation.w = 0.75 + 0.0005 * i, norm
-                writer.write_message("/tf", tf, time, time)
-        return path
-
-    return make
 
 
 @pytest.mark.parametrize("step_s", [3600, 0.5, -0.5, -3600])

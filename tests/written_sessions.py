@@ -53,6 +53,12 @@ def wave(i):
     return 0.3 * np.sin(2 * np.pi * i / 130 + np.arange(29) / 5)
 
 
+def turned(n):
+    """(n, 4) wxyz, the attitudes of the pelvis in it."""
+    angles = 0.002 * np.arange(n)
+    return np.stack([np.cos(angles), 0 * angles, 0 * angles, np.sin(angles)], axis=1)
+
+
 @pytest.fixture
 def record(tmp_path):
     """Joint states by Foxglove's classes at these times, and the pelvis with them.
@@ -74,7 +80,11 @@ def record(tmp_path):
                 tf = FrameTransforms()
                 pose = tf.transforms.add(parent_frame_id="world", child_frame_id=prefix + "pelvis")
                 pose.timestamp.FromNanoseconds(time)
-                pose.translation.z, pose.rotation.w = 0.75 + 0.0005 * i, norm
+                pose.translation.z = 0.75 + 0.0005 * i
+                pose.rotation.w, pose.rotation.z = (
+                    norm * np.cos(0.002 * i),
+                    norm * np.sin(0.002 * i),
+                )
                 writer.write_message("/frames", tf, time + 7, time)
         return path
 

@@ -4,6 +4,7 @@ import pytest
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_NAMES
+from written_sessions import turned
 
 RATE = 50
 TIME = np.arange(200) / RATE
@@ -134,6 +135,6 @@ def test_joint_states_and_transforms_of_foxglove(record):
     times = EPOCH * 10**9 + np.round(TIME * 1e9).astype(np.int64)
     session = g1stream.open_session(record(times, angles=lambda i: Q[i], parts=[range(28, -1, -1)]))
     assert session.topics == {"/lowstate": 200, "/sportmodestate": 200}
-    has(session, q=Q, imu_quat_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
+    has(session, q=Q, imu_quat_wxyz=turned(200))
     np.testing.assert_allclose(session.base.position[:, 2], 0.75 + 0.0005 * np.arange(200))
     assert session.measured.publish_time[0] == EPOCH * 10**9

@@ -1,3 +1,3 @@
-from known_sessions import change, motion, play, take, write_session
+from known_sessions import change, play, take, write_session
 
-__all__ = ["change", "motion", "play", "take", "write_session"]
+__all__ = ["change", "play", "take", "write_session"]

@@ -8,16 +8,18 @@ from g1stream.analysis.plots import draw
 from g1stream.app.session import open_session
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
+from known_sessions import write_known
 
 AXES = ("pitch", "roll", "yaw")
 METADATA = {"motion": {"name": "dance"}, "stream": {"reason": "SIGINT"}}
 
 
-@pytest.fixture
-def session(play, write_session):
+@pytest.fixture(scope="module")
+def session(play, tmp_path_factory):
     sag = np.zeros(29)
     sag[1] = 0.3
-    return open_session(write_session(*play(0.04, sag), METADATA))
+    path = tmp_path_factory.mktemp("plots") / "session.mcap"
+    return open_session(write_known(path, *play(0.04, sag), METADATA))
 
 
 @pytest.fixture

@@ -4,15 +4,17 @@ import pytest
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.types import Phase
+from known_sessions import write_known
 
 LATE = 0.02
 
 
-@pytest.fixture
-def session(play, write_session):
+@pytest.fixture(scope="module")
+def session(play, tmp_path_factory):
     reference, measured = play(LATE)
+    path = tmp_path_factory.mktemp("methods") / "session.mcap"
     return g1stream.open_session(
-        write_session(reference, measured, derived={"/tf": reference[::5]})
+        write_known(path, reference, measured, derived={"/tf": reference[::5]})
     )
 
 

@@ -10,6 +10,7 @@ from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.types import Phase
+from known_sessions import MOTION
 
 #: How far a straight line between references is from the fastest sine here, rad: h^2/8 max|ddq|.
 STRAIGHT = 0.002**2 / 8 * 0.6 * (2 * np.pi * 1.25) ** 2
@@ -23,11 +24,11 @@ def test_the_quantile_of_a_confidence_interval():
     np.testing.assert_allclose(quantiles, stdtrit(freedom, 0.975), rtol=4e-4)
 
 
-def test_the_rmse_of_a_robot_that_is_late_or_sags(play, motion):
+def test_the_rmse_of_a_robot_that_is_late_or_sags(play):
     delay = 0.04
     late, sagging = compare(*play(delay)), compare(*play(offset=-SAG))
     # sin(a) - sin(a - wd) = 2 sin(wd/2) cos(a - wd/2), whose RMS over a period is sqrt(2) sin(wd/2)
-    expected = np.sqrt(2) * motion.amplitude * np.sin(motion.omega * delay / 2)
+    expected = np.sqrt(2) * MOTION.amplitude * np.sin(MOTION.omega * delay / 2)
     np.testing.assert_allclose(late.rmse, expected, atol=STRAIGHT)
     np.testing.assert_allclose(late.mean, 0.0, atol=STRAIGHT)
     np.testing.assert_allclose(late.max_abs, np.sqrt(2) * expected, rtol=1e-4, atol=STRAIGHT)

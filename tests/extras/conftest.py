@@ -1,12 +1,11 @@
 """Robots, random motions, and sessions whose error is known, as fixtures."""
 
 from known_robots import compile_mujoco, random_frames, reference_urdf, robot
-from known_sessions import change, motion, play, take, write_session
+from known_sessions import change, play, take, write_session
 
 __all__ = [
     "change",
     "compile_mujoco",
-    "motion",
     "play",
     "random_frames",
     "reference_urdf",

@@ -151,6 +151,7 @@ CASES = {
         problems=["The stream ended early: SIGINT."],
     ),
     "a recording only": Summary(
+        termination=Termination(played_s=30.0, motion_s=14.0),
         files_bytes={"dance.mcap": 90_000},
         first_ns=0,
         last_ns=2_500_000_000,
@@ -159,7 +160,8 @@ CASES = {
         problems=["3 samples lost on /lowstate."],
     ),
     "nothing sent": Summary(
-        termination=Termination(reason="no LowState came within 1 s", motion_s=14.0),
+        termination=Termination(reason="no LowState came", played_s=0.0, motion_s=14.0),
+        settings={"stream.duration": 3.0},
         stream=StreamSummary(commands=0, nominal_rate_hz=500.0, states_received=0, states_lost=0),
     ),
     "nothing received": Summary(recorder=RecorderSummary(paths=["a.mcap"], removed=True)),
@@ -225,16 +227,11 @@ CASES = {
             ),
         ),
     ),
-    "nothing played": Summary(
-        termination=Termination(reason="no LowState received", played_s=0.0, motion_s=14.0),
-        settings={"stream.duration": 3.0},
-    ),
     "from 2 s to the end, not recorded": Summary(
         termination=Termination(reason="", played_s=12.0, motion_s=14.0, start_s=2.0),
         tracking=with_delay(None),
         stream=STREAM,
     ),
-    "nothing known of the end": Summary(termination=Termination(played_s=30.0, motion_s=14.0)),
     "a selection of a part": Summary(
         selected=True,
         termination=Termination(reason="", played_s=6.0, motion_s=14.0, start_s=2.0),

@@ -18,13 +18,13 @@ ELBOW = JOINT_NAMES.index("left_elbow_joint")
 ROLL = JOINT_NAMES.index("left_shoulder_roll_joint")
 PITCH = JOINT_NAMES.index("left_shoulder_pitch_joint")
 WRIST = JOINT_NAMES.index("left_wrist_yaw_joint")
-RAMP = 3.0  # s: with less, the arm still sags when PLAY begins
+RAMP = 1.5  # s: with less, the arm still sags when PLAY begins
 BEGIN = 0.5  # s: until then the motion is at rest
 
 
 def motion(joint, move):
     """A motion in which one joint moves as a function of the time since `BEGIN`."""
-    times = np.arange(round(2.2 * FPS)) / FPS
+    times = np.arange(round(1.8 * FPS)) / FPS
     joint_pos = np.zeros((len(times), 29))
     joint_pos[:, ROLL] = 0.3  # away from the body
     joint_pos[:, ELBOW] = 0.8

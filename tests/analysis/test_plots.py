@@ -135,13 +135,9 @@ def test_a_session_without_a_reference(play, write_session):
     assert len(figure.axes[0].get_lines()) == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "begins"), [("a.png", b"\x89PNG"), ("a.SVG", b"<?xml"), ("a.pdf", b"%PDF")]
-)
-def test_its_format_is_that_of_its_name(session, tmp_path, name, begins):
-    draw(session, tmp_path / name, "waist", ["tau"])
-    assert (tmp_path / name).read_bytes().startswith(begins)
+def test_its_format_is_that_of_its_name(session, tmp_path):
+    draw(session, tmp_path / "a.SVG", "waist", ["tau"])
+    assert (tmp_path / "a.SVG").read_bytes().startswith(b"<?xml")
 
 
 def test_what_cannot_be_drawn(session, play, write_session, tmp_path):

@@ -72,7 +72,7 @@ scalars = st.none() | st.booleans() | numbers | st.text()
 values = st.recursive(scalars, lambda v: st.lists(v) | st.dictionaries(st.text(), v), max_leaves=9)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.dictionaries(st.text(), values))
 @example({"version": "0.10", "flag": "true", "quoted": '"x"', "nothing": "null", "empty": ""})
 def test_any_json_comes_back_as_it_was(data):

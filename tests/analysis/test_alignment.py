@@ -7,7 +7,7 @@ from g1stream.analysis.alignment import find_plays
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 
-RATE = 100.0
+RATE = 60.0
 
 
 def wandering(seed: int, seconds: float = 20.0) -> Motion:

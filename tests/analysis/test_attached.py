@@ -42,7 +42,7 @@ def strangers(motion):
     def write(
         *topics, late=0.015, speed=1.0, targets=1.0, twice=False, stuck=(), unasked=(), clock=0
     ):
-        times = np.arange(0.0, 38.0 if twice else 18.0, 0.005)
+        times = np.arange(0.0, 38.0 if twice else 18.0, 0.01)
 
         def at(when):
             begun = np.where(when > 20.0, when - 20.0, when) if twice else when

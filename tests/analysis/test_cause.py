@@ -18,7 +18,7 @@ ELBOW = JOINT_NAMES.index("left_elbow_joint")
 ROLL = JOINT_NAMES.index("left_shoulder_roll_joint")
 PITCH = JOINT_NAMES.index("left_shoulder_pitch_joint")
 WRIST = JOINT_NAMES.index("left_wrist_yaw_joint")
-RAMP = 1.5  # s: with less, the arm still sags when PLAY begins
+RAMP = 2.0  # s: with less, the arm still sags when PLAY begins
 BEGIN = 0.5  # s: until then the motion is at rest
 
 

@@ -181,11 +181,13 @@ def test_the_rmse_is_that_of_another_reader(play, write_session):
     inside = (states >= played[0]) & (states < after)
     error = asked(states[inside]) - q[inside]
 
-    summary = open_session(path).tracking().summary()
+    tracking = open_session(path).tracking()
+    summary = tracking.summary()
     assert summary.compared_states == len(error) == 400
     assert summary.all_joints.rmse_rad == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
     for limb, joints in JOINT_GROUPS.items():
         expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
         assert summary.limbs[limb].rmse_rad == pytest.approx(expected, rel=1e-9)
+        assert tracking.rmse_by_limb[limb] == pytest.approx(expected, rel=1e-9)
     mean = error[:, 3].mean()
     assert summary.joints["left_knee_joint"].bias_rad == pytest.approx(mean, rel=1e-9)

@@ -34,23 +34,21 @@ class Played(NamedTuple):
     measured: MeasuredStream
 
 
-@pytest.fixture
-def motion():
-    amplitude = np.linspace(0.1, 0.6, 29)
-    amplitude[[13, 27]] = 0.0
-    return Motion(amplitude, 2 * np.pi * 0.25 * (1 + np.arange(29) % 5))
+_AMPLITUDE = np.linspace(0.1, 0.6, 29)
+_AMPLITUDE[[13, 27]] = 0.0
+MOTION = Motion(_AMPLITUDE, 2 * np.pi * 0.25 * (1 + np.arange(29) % 5))
 
 
 def _stamps(seconds):
     return T0 + np.round(np.asarray(seconds) * 1e9).astype(np.int64)
 
 
-def _reference(motion, phases):
+def _reference(phases):
     lengths = np.array([round(length * 500) for _, length in phases])
     phase = np.repeat(np.array([phase for phase, _ in phases], dtype=np.uint8), lengths)
     before_play = int(lengths[: [p for p, _ in phases].index(Phase.PLAY)].sum())
     seconds = (np.arange(len(phase)) - before_play) / 500.0
-    q = motion.at(seconds)
+    q = MOTION.at(seconds)
     stamps = _stamps(seconds)
     n = len(stamps)
     return ReferenceStream(
@@ -84,16 +82,16 @@ def _measured(seconds, q):
 ALL_PHASES = ((Phase.RAMP, 0.5), (Phase.PLAY, 4.0), (Phase.HOLD, 0.3), (Phase.DAMP, 0.2))
 
 
-@pytest.fixture
-def play(motion):
+@pytest.fixture(scope="session")
+def play():
     """Makes the streams of a session: the robot is `delay` s late and `offset` (29,) rad off."""
 
     def make(delay=0.0, offset=0.0, phases=ALL_PHASES):
-        reference = _reference(motion, phases)
+        reference = _reference(phases)
         first, last = (reference.publish_time[[0, -1]] - T0) / 1e9
         # 0.7 ms beside the references, from 0.1 s before them until 0.1 s after them.
         seconds = np.arange(round((last - first + 0.2) * 500)) / 500 + first - 0.0993
-        return Played(reference, _measured(seconds, motion.at(seconds - delay) + offset))
+        return Played(reference, _measured(seconds, MOTION.at(seconds - delay) + offset))
 
     return make
 
@@ -120,39 +118,33 @@ def take():
     return pick
 
 
-@pytest.fixture
-def write_session(tmp_path):
+def write_known(path, reference=None, measured=None, metadata=None, *, derived=(), close=True):
     """Writes a session file of these streams; a command goes with each reference.
 
     `derived` are messages without a body, by topic, at the times of a stream.
     """
+    writer = SessionWriter(path)
+    if reference is not None:
+        _write(writer, "/reference", reference, _as_reference)
+        _write(writer, "/lowcmd", reference, _as_command)
+    if measured is not None:
+        _write(writer, "/lowstate", measured, _as_state)
+    for topic, stream in dict(derived).items():
+        _write(writer, topic, stream, lambda stream, i: b"")
+    if close:
+        writer.add_metadata(metadata or {})
+        writer.close()
+    else:
+        writer.flush_if_due(2 * T0)
+    return path
 
-    def write(
-        reference=None,
-        measured=None,
-        metadata=None,
-        *,
-        derived=(),
-        close=True,
-        name="session.mcap",
-    ):
-        path = tmp_path / name
-        writer = SessionWriter(path)
-        if reference is not None:
-            _write(writer, "/reference", reference, _as_reference)
-            _write(writer, "/lowcmd", reference, _as_command)
-        if measured is not None:
-            _write(writer, "/lowstate", measured, _as_state)
-        for topic, stream in dict(derived).items():
-            _write(writer, topic, stream, lambda stream, i: b"")
-        if close:
-            writer.add_metadata(metadata or {})
-            writer.close()
-        else:
-            writer.flush_if_due(2 * T0)
-        return path
 
-    return write
+@pytest.fixture
+def write_session(tmp_path):
+    """Writes with `write_known` into the directory of the test."""
+    return lambda *streams, name="session.mcap", **how: write_known(
+        tmp_path / name, *streams, **how
+    )
 
 
 def _write(writer, topic, stream, encode):

@@ -1,7 +1,4 @@
-"""The metrics of sessions whose errors are known, and of sessions that lack something."""
-
 import re
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,45 +12,40 @@ from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.rotations import quat_mul
 from g1stream.session.source import MemorySource
-from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
 
 SAG = np.linspace(-0.2, 0.1, 29)
 
 
+CONFIG = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+
+
 @pytest.fixture(scope="module")
 def rollout():
-    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
-    return g1stream.rollout("demo", seconds=1.0, config=config)
+    return g1stream.rollout("demo", seconds=1.0, config=CONFIG)
+
+
+@pytest.fixture(scope="module")
+def followed():
+    return g1stream.rollout("demo", seconds=1.0, support="follow", config=CONFIG)
+
+
+def synthetic(seconds=1.0, reason="", support="free", **settings):
+    source = MemorySource()
+    metadata = {"stream": {"support": support, "reason": reason}}
+    SyntheticSession(seconds, metadata=metadata, **settings).write(source)
+    return Session(source)
 
 
 def test_tracking_is_that_of_the_summary(rollout):
     metrics, summary = rollout.metrics().tracking, rollout.summary().tracking
+    assert metrics.compared_states == summary.compared_states
     assert metrics.all_joints.rmse_rad == summary.all_joints.rmse_rad
     assert metrics.all_joints.delay_s == summary.all_joints.delay_s
-    assert metrics.all_joints.worst_joint == summary.all_joints.worst_joint
-    assert metrics.compared_states == summary.compared_states
-    for limb, one in summary.limbs.items():
-        assert metrics.limbs[limb].rmse_rad == one.rmse_rad
-    for name, joint in summary.joints.items():
-        known = joint.model_dump(exclude_none=True)
-        assert known.items() <= metrics.joints[name].model_dump().items()
-
-
-def test_references_and_states_are_read_once(tmp_path):
-    """Commands again, to check samples of them, and for their torque, which is not kept."""
-    path = tmp_path / "session.mcap"
-    with SessionWriter(path) as writer:
-        SyntheticSession(1.0, torque=1.0).write(writer)
-    session = g1stream.open_session(path)
-    read, batches = Counter(), session.source.batches
-    session.source.batches = lambda topics: read.update(topics) or batches(topics)
-    session.metrics()
-    assert {topic: read[topic] for topic in ("/reference", "/lowstate", "/sportmodestate")} == {
-        "/reference": 1,
-        "/lowstate": 1,
-        "/sportmodestate": 1,
-    }
+    for found, told in ((metrics.limbs, summary.limbs), (metrics.joints, summary.joints)):
+        assert {name: (one.rmse_rad, one.max_abs_rad) for name, one in found.items()} == {
+            name: (one.rmse_rad, one.max_abs_rad) for name, one in told.items()
+        }
 
 
 def test_the_docs_list_the_short_names():
@@ -63,10 +55,8 @@ def test_the_docs_list_the_short_names():
 
 
 def test_joints_limbs_and_all(play, write_session):
-    metrics = g1stream.open_session(write_session(*play(0.04, -SAG))).metrics()
-    tracking = g1stream.open_session(write_session(*play(0.04, -SAG), name="b.mcap")).tracking()
-    size = np.abs(tracking.error)
-    found = metrics.tracking
+    session = g1stream.open_session(write_session(*play(0.04, -SAG)))
+    size, found = np.abs(session.tracking().error), session.metrics().tracking
     for i, name in enumerate(JOINT_NAMES):
         joint = found.joints[name]
         assert joint.bias_rad == pytest.approx(SAG[i], abs=1e-4)
@@ -85,18 +75,20 @@ def test_joints_limbs_and_all(play, write_session):
         assert limb.delay_s == pytest.approx(0.04, abs=1e-4)
 
 
-def test_a_robot_without_imu_and_velocities(play, write_session):
+def test_a_killed_recorder_of_a_robot_without_imu_and_velocities(play, write_session):
     reference, measured = play(0.04)
     measured.imu_quat_wxyz[:] = 0.0
-    metrics = g1stream.open_session(write_session(reference, measured)).metrics()
+    metrics = g1stream.open_session(write_session(reference, measured, close=False)).metrics()
+    assert metrics.tracking.all_joints.delay_s == pytest.approx(0.04, abs=1e-4)
     assert metrics.tracking.all_joints.velocity_rmse_rad_s is None
     assert metrics.body.root_relative is metrics.body.world is metrics.body.pelvis is None
     assert metrics.body.pelvis_frame.mpjpe_mm > 1.0
     assert metrics.torque is None
     assert "torque" in metrics.missing
+    assert metrics.timing.lateness_us is metrics.success.completed is None
 
 
-def test_somebody_elses_recording(rollout, tmp_path, play, write_session):
+def test_somebody_elses_recording(play, write_session):
     session = g1stream.open_session(write_session(None, play().measured))
     metrics = session.metrics()
     assert metrics.tracking is metrics.body is None
@@ -113,13 +105,6 @@ def test_a_converted_motion(tmp_path):
     assert metrics.missing.keys() == {"tracking", "body", "torque"}
     assert session.summary().motion.name == "demo"
     assert session.phases == []
-
-
-def test_a_killed_recording(play, write_session):
-    metrics = g1stream.open_session(write_session(*play(0.02), close=False)).metrics()
-    assert metrics.tracking.all_joints.delay_s == pytest.approx(0.02, abs=1e-4)
-    assert metrics.timing.lateness_us is None
-    assert metrics.success.completed is None
 
 
 def test_a_part_of_a_session(rollout):
@@ -152,10 +137,14 @@ def test_a_base_or_a_gyroscope_that_is_not_finite(rollout, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("stream", "column"),
-    [("measured", "q"), ("measured", "dq"), ("measured", "tau"), ("command", "kp")],
+    ("stream", "column", "tracked"),
+    [
+        ("measured", "q", True),
+        ("measured", "dq", False),
+        ("measured", "tau", True),
+        ("command", "kp", False),
+    ],
 )
-@pytest.mark.parametrize("tracked", [True, False])
 def test_a_sample_that_is_not_finite_is_left_out(rollout, monkeypatch, stream, column, tracked):
     part = rollout.sel(time=slice(0.5, 1.0))
     if not tracked:
@@ -176,15 +165,12 @@ def test_a_robot_that_cannot_be_used_is_not_replaced(rollout, monkeypatch):
     metrics = part.metrics()
     assert metrics.torque is metrics.body is None
     assert metrics.missing.keys() == {"body", "torque"}
-    assert (
-        metrics.tracking.all_joints.rmse_rad == rollout.sel(time=slice(0.5, 1.0)).tracking().overall
-    )
+    assert metrics.tracking.all_joints.rmse_rad == part.tracking().overall
 
 
 def test_timing_is_that_of_what_the_arms_were_sent():
     """Beside it, /lowcmd has the commands of the robot's own controller, at 500 Hz."""
-    source = MemorySource()
-    SyntheticSession(1.0).write(source)
+    source = synthetic().source
     _, sent = next(source.batches({"/lowcmd"}))
     few = slice(None, None, 5)
     source.write_batch("/arm_sdk", sent.data[few], sent.log_times[few], sent.publish_times[few])
@@ -194,13 +180,9 @@ def test_timing_is_that_of_what_the_arms_were_sent():
     assert timing.state_age_us.p50 == pytest.approx(1000.0)
 
 
-@pytest.mark.parametrize(
-    ("latency", "expected_us"), [(100e-6, 3000.0), (900e-6, 3000.0), (1500e-6, 5000.0)]
-)
+@pytest.mark.parametrize(("latency", "expected_us"), [(900e-6, 3000.0), (1500e-6, 5000.0)])
 def test_the_state_of_a_command_is_the_newest_at_the_one_before(latency, expected_us):
-    source = MemorySource()
-    SyntheticSession(1.0, latency=latency).write(source)
-    metrics = Session(source).metrics()
+    metrics = synthetic(latency=latency).metrics()
     assert metrics.timing.state_to_command_us.p50 == pytest.approx(expected_us)
     assert metrics.timing.state_to_command_us.max == pytest.approx(expected_us)
     assert metrics.named()["delay_p99"] == pytest.approx(expected_us / 1e6)
@@ -208,9 +190,8 @@ def test_the_state_of_a_command_is_the_newest_at_the_one_before(latency, expecte
 
 
 def test_after_ticks_left_out_the_state_is_a_new_one():
-    source, whole = MemorySource(), MemorySource()
-    SyntheticSession(1.0).write(whole)
-    for topic, sent in whole.batches({"/lowcmd", "/lowstate", "/reference"}):
+    source = MemorySource()
+    for topic, sent in synthetic().source.batches({"/lowcmd", "/lowstate", "/reference"}):
         parts = [slice(None)] if topic == "/lowstate" else [slice(40), slice(60, None)]
         for part in parts:
             columns = (one[part] for one in (sent.data, sent.log_times, sent.publish_times))
@@ -220,25 +201,11 @@ def test_after_ticks_left_out_the_state_is_a_new_one():
 
 
 def test_another_programs_commands_are_as_old_as_the_newest_state():
-    source = MemorySource()
-    SyntheticSession(1.0).write(source)
-    session = Session(source)
+    session = synthetic()
     session.topics = {name: n for name, n in session.topics.items() if name != "/reference"}
     timing = session.metrics().timing
     assert timing.state_to_command_us == timing.state_age_us
     assert timing.state_to_command_p99_s == pytest.approx(1e-3)
-
-
-@pytest.fixture(scope="module")
-def followed():
-    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
-    return g1stream.rollout("demo", seconds=1.0, support="follow", config=config)
-
-
-def test_sonics_limits_hold_for_a_robot_that_follows(followed):
-    metrics = followed.metrics()
-    assert metrics.success.success_sonic is True
-    assert metrics.body.terminations.sonic is None
 
 
 @pytest.mark.parametrize(("shift", "excess"), [(0.24, False), (0.26, True)])
@@ -254,11 +221,7 @@ def test_the_first_height_beyond_sonics_limit(followed, monkeypatch, shift, exce
         assert first.at_s == pytest.approx(0.51, abs=0.02)
         assert first.height_mm == pytest.approx(1e3 * shift, abs=15.0)
         assert first.rotation_rad is None
-        ends = {f"{side}_{link}" for side in ("left", "right") for link in LINKS}
-        assert first.link in {"pelvis", *ends}
-
-
-LINKS = ("ankle_roll_link", "wrist_yaw_link")
+        assert first.link.endswith(("pelvis", "ankle_roll_link", "wrist_yaw_link"))
 
 
 @pytest.mark.parametrize("axis", [1, 3])
@@ -277,47 +240,39 @@ def test_the_first_rotation_beyond_sonics_limit(followed, monkeypatch, axis):
         assert first.rotation_rad == pytest.approx(1.1, abs=0.05)
 
 
-def stalled(*, support, reason="", gaps=()):
-    """The metrics and problems of a robot whose states have gaps."""
-    source = MemorySource()
-    stream = {"support": support, "reason": reason}
-    SyntheticSession(3.0, gaps=gaps, metadata={"stream": stream}).write(source)
-    return Session(source)
-
-
 @pytest.mark.parametrize(
-    ("support", "length", "spoilt"),
-    [("free", 0.06, True), ("free", 0.03, False), ("bolted", 0.06, False)],
+    ("support", "length", "spoilt", "reason"),
+    [
+        ("free", 0.06, True, "the pelvis tilts"),
+        ("free", 0.03, False, "the pelvis tilts"),
+        ("bolted", 0.06, False, "the pelvis tilts"),
+        ("free", 0.06, True, ""),  # succeeds in spite of it
+    ],
 )
-def test_a_simulator_that_stalls_spoils_a_run_on_free_feet(support, length, spoilt):
-    session = stalled(support=support, gaps=((1.0, length),), reason="the pelvis tilts")
+def test_a_simulator_that_stalls_spoils_a_run_on_free_feet(support, length, spoilt, reason):
+    session = synthetic(3.0, reason, support, gaps=((1.0, length),))
     success, problems = session.metrics().success, session.summary().problems
-    assert success.completed is False
-    assert success.success is (None if spoilt else False)
+    assert success.completed is (not reason)
+    assert success.success is (not reason or (None if spoilt else False))
     assert success.spoilt_by_ms == (pytest.approx(1e3 * length + 2.0, abs=0.1) if spoilt else None)
     assert sum("time stopped" in one for one in problems) == spoilt
 
 
-def test_a_stall_outside_of_play_spoils_nothing():
-    session = stalled(support="free", gaps=((-0.4, 0.06), (3.1, 0.06)))
-    assert session.summary().spoilt_by_ms is None
-
-
-def test_a_run_that_succeeds_in_spite_of_a_stall_has_succeeded():
-    success = stalled(support="free", gaps=((1.0, 0.06),)).metrics().success
-    assert success.spoilt_by_ms == pytest.approx(62.0, abs=0.1)
-    assert success.success is True
+@pytest.mark.parametrize(
+    ("gaps", "spoilt"),
+    [
+        (((-0.4, 0.06), (3.1, 0.06)), None),  # outside of PLAY
+        (((2.9, 10.0),), pytest.approx(98.0, abs=3.0)),  # the states end in it
+    ],
+)
+def test_a_stall_counts_as_far_as_it_is_in_play(gaps, spoilt):
+    assert synthetic(3.0, gaps=gaps).summary().spoilt_by_ms == spoilt
 
 
 @pytest.mark.parametrize(("leap", "spoilt"), [(94, 94.0), (30, None), (2**31, None)])
 def test_ticks_that_leap_spoil_a_run(monkeypatch, leap, spoilt):
-    session = stalled(support="free")
+    session = synthetic(3.0)
     ticks = session.measured.tick.astype(np.uint64)
     ticks[900:] += leap - 1
     monkeypatch.setitem(vars(session.measured), "tick", ticks.astype(np.uint32))
     assert session.summary().spoilt_by_ms == spoilt
-
-
-def test_states_that_end_in_play_spoil_it():
-    session = stalled(support="free", gaps=((2.9, 10.0),))
-    assert session.summary().spoilt_by_ms == pytest.approx(98.0, abs=3.0)

@@ -1,5 +1,3 @@
-"""Tracking figures against errors known in closed form, and against scipy."""
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -7,11 +5,12 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.interpolate import make_interp_spline
 from scipy.special import stdtrit
 
-from g1stream.analysis.tracking import _t_975, compare, pooled
+from g1stream.analysis.tracking import _t_975, compare
 from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.types import Phase
+from known_sessions import MOTION
 
 #: How far a straight line between references is from the fastest sine here, rad: h^2/8 max|ddq|.
 STRAIGHT = 0.002**2 / 8 * 0.6 * (2 * np.pi * 1.25) ** 2
@@ -25,25 +24,19 @@ def test_the_quantile_of_a_confidence_interval():
     np.testing.assert_allclose(quantiles, stdtrit(freedom, 0.975), rtol=4e-4)
 
 
-def test_the_rmse_of_a_robot_that_is_late(play, motion):
+def test_the_rmse_of_a_robot_that_is_late_or_sags(play):
     delay = 0.04
-    tracking = compare(*play(delay))
+    late, sagging = compare(*play(delay)), compare(*play(offset=-SAG))
     # sin(a) - sin(a - wd) = 2 sin(wd/2) cos(a - wd/2), whose RMS over a period is sqrt(2) sin(wd/2)
-    expected = np.sqrt(2) * motion.amplitude * np.sin(motion.omega * delay / 2)
-    np.testing.assert_allclose(tracking.rmse, expected, atol=STRAIGHT)
-    np.testing.assert_allclose(tracking.mean, 0.0, atol=STRAIGHT)
-    largest = 2 * motion.amplitude * np.sin(motion.omega * delay / 2)
-    np.testing.assert_allclose(tracking.max_abs, largest, rtol=1e-4, atol=STRAIGHT)
+    expected = np.sqrt(2) * MOTION.amplitude * np.sin(MOTION.omega * delay / 2)
+    np.testing.assert_allclose(late.rmse, expected, atol=STRAIGHT)
+    np.testing.assert_allclose(late.mean, 0.0, atol=STRAIGHT)
+    np.testing.assert_allclose(late.max_abs, np.sqrt(2) * expected, rtol=1e-4, atol=STRAIGHT)
+    np.testing.assert_allclose(sagging.mean, SAG, atol=STRAIGHT)
+    np.testing.assert_allclose(sagging.rmse, np.abs(SAG), atol=STRAIGHT)
 
 
-def test_the_rmse_of_a_robot_that_sags(play):
-    tracking = compare(*play(offset=-SAG))
-    np.testing.assert_allclose(tracking.mean, SAG, atol=STRAIGHT)
-    np.testing.assert_allclose(tracking.rmse, np.abs(SAG), atol=STRAIGHT)
-    assert tracking.delay.seconds == pytest.approx(0.0, abs=1e-5)
-
-
-@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.0021, 0.0377, 0.1204])
+@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.1204])
 def test_the_delay_is_found_beside_a_sag(play, delay):
     # 3.3 s are no whole number of periods, so that the joints' means differ from place to place.
     phases = ((Phase.RAMP, 0.5), (Phase.PLAY, 3.3), (Phase.HOLD, 0.3))
@@ -64,11 +57,10 @@ def test_a_smaller_answer_is_not_a_delay(play, change):
 def test_where_the_largest_error_is(play, change):
     reference, measured = play()
     q = measured.q.copy()
-    state = np.flatnonzero(measured.publish_time > reference.publish_time[0] + 2_000_000_000)[0]
-    q[state, 7] -= 0.9
+    # RAMP lasts 0.5 s; the state is the first after 2 s.
+    q[np.searchsorted(measured.publish_time, reference.publish_time[0] + 2_000_000_000), 7] -= 0.9
     tracking = compare(reference, change(measured, q=q))
     assert tracking.max_abs[7] == pytest.approx(0.9, abs=STRAIGHT)
-    # RAMP lasts 0.5 s; the state is the first after 2 s.
     assert tracking.max_abs_at[7] == pytest.approx(1.5007, abs=1e-6)
 
 
@@ -78,30 +70,22 @@ def test_only_what_was_played_counts(play, change):
     q = np.where(((seconds < 0) | (seconds > 4))[:, None], 9.0, measured.q)
     tracking = compare(reference, change(measured, q=q))
     assert tracking.max_abs.max() < STRAIGHT
-    assert len(tracking.time) == 2000
+    assert (len(tracking.time), tracking.excluded) == (2000, 0)
     assert tracking.duration == pytest.approx(4.0)
-    assert tracking.excluded == 0
 
 
-def test_states_in_a_hole_of_the_reference_are_left_out(play, take):
+def test_states_in_a_hole_of_the_reference_are_left_out_but_not_in_a_short_stall(play, take):
     reference, measured = play(0.04)
     at = (reference.publish_time - reference.publish_time[0]) / 1e9
-    hole = (at > 2.0) & (at < 2.3)
-    with_hole = compare(take(reference, ~hole), measured)
+    hole, stall = (at > 2.0) & (at < 2.3), (at > 3.0) & (at < 3.05)
+    with_hole = compare(take(reference, ~(hole | stall)), measured)
     whole = compare(reference, measured)
     assert with_hole.excluded == len(whole.time) - len(with_hole.time) == 150
     assert with_hole.duration == pytest.approx(whole.duration - 0.3)
     kept = np.isin(whole.time, with_hole.time)
     np.testing.assert_array_equal(with_hole.measured, whole.measured[kept])
-    np.testing.assert_allclose(with_hole.reference, whole.reference[kept], atol=1e-12)
-
-
-def test_a_short_stall_of_the_reference_is_compared(play, take):
-    reference, measured = play(0.04)
-    at = (reference.publish_time - reference.publish_time[0]) / 1e9
-    tracking = compare(take(reference, (at < 2.0) | (at > 2.05)), measured)
-    assert tracking.excluded == 0
-    assert len(tracking.time) == 2000
+    close = np.abs(whole.motion_time[kept] - 2.525) > 0.03  # not beside the stall
+    np.testing.assert_allclose(with_hole.reference[close], whole.reference[kept][close], atol=1e-12)
 
 
 def test_the_order_of_the_file_does_not_matter(play, take):
@@ -131,16 +115,13 @@ def test_a_recorder_that_came_late_still_finds_the_delay(play, take):
     assert tracking.delay.seconds == pytest.approx(0.06, abs=1e-4)
 
 
-@pytest.mark.parametrize("delay", [-0.05, 0.3])
-def test_a_delay_that_is_not_looked_for_is_not_made_up(play, delay):
-    assert compare(*play(delay)).delay is None
-
-
-def test_a_robot_that_stands_still_has_no_delay(play, change):
+def test_a_delay_that_cannot_be_known_is_not_made_up(play, change):
+    for delay in (-0.05, 0.3):
+        assert compare(*play(delay)).delay is None
     reference, measured = play()
-    tracking = compare(reference, change(measured, q=np.zeros_like(measured.q)))
-    assert tracking.delay is None
-    assert tracking.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
+    still = compare(reference, change(measured, q=np.zeros_like(measured.q)))
+    assert still.delay is None
+    assert still.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
 
 
 def test_without_a_state_between_references_in_play_there_is_nothing(play, change, take):
@@ -153,22 +134,12 @@ def test_without_a_state_between_references_in_play_there_is_nothing(play, chang
     assert compare(reference, early) is None
 
 
-def test_a_group_is_all_its_joints_errors_together(play):
-    tracking = compare(*play(0.04, np.linspace(-0.2, 0.1, 29)))
-    error = tracking.reference - tracking.measured
-    for group, joints in JOINT_GROUPS.items():
-        expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
-        assert tracking.rmse_by_limb[group] == pytest.approx(expected, rel=1e-12)
-    assert pooled(tracking.rmse) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_position_that_is_not_finite_is_excluded(play, change, value):
+def test_a_position_that_is_not_finite_is_excluded(play, change):
     reference, measured = play()
     q = measured.q.copy()
-    q[1000, 3] = value
+    q[1000, 3], q[1001, 4] = np.nan, np.inf
     tracking = compare(reference, change(measured, q=q))
-    assert (len(tracking.time), tracking.excluded) == (1999, 1)
+    assert (len(tracking.time), tracking.excluded) == (1998, 2)
     assert np.isfinite(tracking.rmse).all()
 
 
@@ -177,7 +148,6 @@ def test_a_session_gives_the_same_and_keeps_it(play, write_session):
     found, expected = session.tracking(), compare(session.reference, session.measured)
     assert session.tracking() is found
     np.testing.assert_array_equal(found.error, expected.error)
-    assert found.delay.seconds == pytest.approx(0.04, abs=1e-4)
     np.testing.assert_allclose(found.time, found.motion_time, atol=1e-6)
     assert found.worst_joint == "left_hip_pitch_joint"
 
@@ -193,7 +163,9 @@ def test_nothing_to_compare_is_an_error(play, take, write_session, recorded):
 
 @pytest.mark.slow
 def test_the_rmse_is_that_of_another_reader(play, write_session):
-    path = write_session(*play(0.04, SAG))
+    path = write_session(
+        *play(0.04, SAG, ((Phase.RAMP, 0.1), (Phase.PLAY, 0.8), (Phase.HOLD, 0.1)))
+    )
     seen = {"/reference": [], "/lowstate": []}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -209,10 +181,13 @@ def test_the_rmse_is_that_of_another_reader(play, write_session):
     inside = (states >= played[0]) & (states < after)
     error = asked(states[inside]) - q[inside]
 
-    summary = open_session(path).tracking().summary()
-    assert summary.compared_states == len(error) == 2000
+    tracking = open_session(path).tracking()
+    summary = tracking.summary()
+    assert summary.compared_states == len(error) == 400
+    assert summary.all_joints.rmse_rad == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
     for limb, joints in JOINT_GROUPS.items():
         expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
         assert summary.limbs[limb].rmse_rad == pytest.approx(expected, rel=1e-9)
+        assert tracking.rmse_by_limb[limb] == pytest.approx(expected, rel=1e-9)
     mean = error[:, 3].mean()
     assert summary.joints["left_knee_joint"].bias_rad == pytest.approx(mean, rel=1e-9)

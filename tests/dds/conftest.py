@@ -1,31 +1,20 @@
-"""Random samples of every type, another process on the wire, and the types of the IDL files."""
-
-from __future__ import annotations
-
-import ctypes
 import re
 import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from g1stream.dds import types
-from g1stream.dds.layout import Layout, members
+from g1stream.dds.layout import Layout
 
 IDL_DIR = Path(__file__).parents[2] / "idl"
 
 
 class Declared(NamedTuple):
-    """A struct of an IDL file.
-
-    Attributes:
-        annotations: those above it, such as `@final`.
-        fields: name -> (IDL name of the element's type, array length or None), in order.
-    """
+    """A struct of an IDL file; a field is name -> (IDL name of the element's type, length)."""
 
     annotations: list[str]
     fields: dict[str, tuple[str, int | None]]
@@ -34,147 +23,17 @@ class Declared(NamedTuple):
 @pytest.fixture(scope="session")
 def declared():
     """Every struct of idl/ by its full name, such as `unitree_hg.msg.dds_.LowCmd_`."""
-    found: dict[str, Declared] = {}
-    for file in sorted(IDL_DIR.glob("*/*.idl")):
-        found |= _parse(file.read_text())
-    return found
-
-
-def _parse(text):
-    """The IDL in use: modules, annotated structs, primitives, and arrays of fixed length."""
-    text = re.sub(r"//.*|/\*.*?\*/|^\s*#.*", "", text, flags=re.MULTILINE)
-    found: dict[str, Declared] = {}
-    scope: list[str] = []
-    annotations: list[str] = []
-    statement = re.compile(
-        r"(?P<annotation>@\w+)"
-        r"|module\s+(?P<module>\w+)\s*{"
-        r"|struct\s+(?P<struct>\w+)\s*{(?P<body>[^}]*)}\s*;"
-        r"|(?P<end>}\s*;)"
-        r"|(?P<other>\S)"
-    )
-    for match in statement.finditer(text):
-        assert not match["other"], f"not in the subset of IDL: {text[match.start() :][:40]}"
-        if match["annotation"]:
-            annotations.append(match["annotation"])
-        elif match["module"]:
-            scope.append(match["module"])
-        elif match["end"]:
-            scope.pop()
-        else:
-            found[".".join([*scope, match["struct"]])] = Declared(
-                annotations, _parse_fields(match["body"])
-            )
-            annotations = []
-    assert not scope
-    return found
-
-
-def _parse_fields(body):
-    fields: dict[str, tuple[str, int | None]] = {}
-    *fields_text, rest = body.split(";")
-    assert not rest.strip()
-    for text in fields_text:
-        match = re.fullmatch(r"\s*([\w\s<>]+?)\s+(\w+)\s*(?:\[(\d+)\])?\s*", text)
-        assert match, f"not in the subset of IDL: {text}"
-        fields[match[2]] = (" ".join(match[1].split()), int(match[3]) if match[3] else None)
-    return fields
-
-
-def all_types():
-    """Every cyclonedds class of ours with a fixed size, those inside others included."""
     found = {}
-    pending = [getattr(types, name) for name in types.__all__]
-    while pending:
-        idl_type = pending.pop()
-        found[idl_type.__idl_typename__] = idl_type
-        pending += [
-            element for element, _ in members(idl_type).values() if not isinstance(element, str)
-        ]
-    return [found[name] for name in sorted(found)]
-
-
-@pytest.fixture(params=all_types(), ids=lambda t: t.__idl_typename__)
-def idl_type(request):
-    """Each type in turn."""
-    return request.param
-
-
-@pytest.fixture(scope="session")
-def our_types():
-    return all_types()
-
-
-CTYPES = {
-    "u1": ctypes.c_uint8,
-    "i2": ctypes.c_int16,
-    "i4": ctypes.c_int32,
-    "u4": ctypes.c_uint32,
-    "u8": ctypes.c_uint64,
-    "f4": ctypes.c_float,
-    "f8": ctypes.c_double,
-}
-PRIMITIVES = {
-    "byte": "u1",
-    "uint8": "u1",
-    "int16": "i2",
-    "int32": "i4",
-    "uint32": "u4",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
-
-
-@pytest.fixture(scope="session")
-def c_struct():
-    """The ctypes.Structure of a type, laid out as the C compiler of this machine would."""
-
-    def build(element):
-        if isinstance(element, str):
-            return CTYPES[PRIMITIVES[element]]
-        fields = [
-            (name, build(member) if length is None else build(member) * length)
-            for name, (member, length) in members(element).items()
-        ]
-        return type(element.__name__, (ctypes.Structure,), {"_fields_": fields})
-
-    return build
-
-
-@pytest.fixture(scope="session")
-def random_instance():
-    """An instance of a cyclonedds class, every value in it drawn at random.
-
-    Returns the instance, and its values by dotted path as the layout names them.
-    """
-
-    def draw(rng, element):
-        dtype = np.dtype(PRIMITIVES[element])
-        if dtype.kind == "f":
-            return rng.normal(scale=1e3, size=1).astype(dtype)[0].item()
-        bounds = np.iinfo(dtype)
-        return int(rng.integers(bounds.min, bounds.max, endpoint=True, dtype=dtype))
-
-    def build(rng, element, path, values):
-        if isinstance(element, str):
-            value = draw(rng, element)
-            values.setdefault(path, []).append(value)
-            return value
-        parts = {}
-        for name, (member, length) in members(element).items():
-            below = f"{path}.{name}" if path else name
-            if length is None:
-                parts[name] = build(rng, member, below, values)
-            else:
-                parts[name] = [build(rng, member, below, values) for _ in range(length)]
-        return element(**parts)
-
-    def make(idl_type, seed):
-        values: dict[str, Any] = {}
-        return build(np.random.default_rng(seed), idl_type, "", values), values
-
-    return make
+    for file in IDL_DIR.glob("*/*.idl"):
+        text = re.sub(r"//.*", "", file.read_text())
+        module = ".".join(re.findall(r"module\s+(\w+)", text))
+        for marks, name, body in re.findall(r"((?:@\w+\s+)*)struct\s+(\w+)\s*{([^}]*)}", text):
+            fields = re.findall(r"([\w<>][\w <>]*?)\s+(\w+)\s*(?:\[(\d+)\])?\s*;", body)
+            assert len(fields) == body.count(";")
+            found[f"{module}.{name}"] = Declared(
+                marks.split(), {field: (kind, int(n) if n else None) for kind, field, n in fields}
+            )
+    return found
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,3 @@
-"""Joining a domain, seeing who is there, and leaving nothing behind."""
-
 import gc
 import os
 import socket
@@ -12,7 +10,6 @@ from cyclonedds.core import Entity
 
 from g1stream.dds.domain import (
     AnnouncedBridge,
-    Endpoint,
     Participant,
     identify_program,
     interfaces,
@@ -30,13 +27,13 @@ def test_interfaces_are_the_kernels():
     assert [name for name in interfaces() if is_loopback(name)] == ["lo"]
 
 
-@pytest.mark.parametrize("domain", [-1, 233, 1000])
+@pytest.mark.parametrize("domain", [-1, 233])
 def test_a_domain_out_of_range_is_refused(domain):
     with pytest.raises(WireError, match=str(domain)):
         Participant(domain, "lo")
 
 
-@pytest.mark.parametrize("interface", ["eth7", "", "lo "])
+@pytest.mark.parametrize("interface", ["eth7", ""])
 def test_an_unknown_interface_is_named_with_the_known_ones(domain_id, interface):
     with pytest.raises(WireError) as caught:
         Participant(domain_id, interface)
@@ -62,7 +59,7 @@ def test_an_interface_that_cyclone_cannot_use_is_an_error(domain_id, monkeypatch
         pass
 
 
-def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_path, peer_on, until):
+def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_path):
     trace = tmp_path / "cyclone.log"
     monkeypatch.setenv(
         "CYCLONEDDS_URI",
@@ -82,10 +79,8 @@ def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_pa
 
 def test_a_broken_configuration_of_the_user_is_an_error(domain_id, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><Nonsense/></Domain></CycloneDDS>")
-    with pytest.raises(WireError) as caught:
+    with pytest.raises(WireError, match=f"domain {domain_id}.*CYCLONEDDS_URI"):
         Participant(domain_id, "lo")
-    assert f"domain {domain_id}" in caught.value.cause
-    assert "CYCLONEDDS_URI" in caught.value.remedy
 
 
 def possessions():
@@ -101,7 +96,7 @@ def possessions():
 
 def test_closing_leaves_nothing_behind(domain_id):
     before = possessions()
-    for _ in range(30):
+    for _ in range(4):
         with Participant(domain_id, "lo") as participant:
             for topic in TOPICS:
                 RawWriter(participant, topic)
@@ -124,25 +119,10 @@ def test_closing_closes_what_somebody_still_holds(domain_id, until):
 
 def test_closing_what_is_closed_is_no_error(domain_id):
     with Participant(domain_id, "lo") as participant:
-        writer, reader = RawWriter(participant, LOWCMD), RawReader(participant, LOWCMD)
-        for entity in (writer, reader, writer, reader):
+        for entity in (RawWriter(participant, LOWCMD), RawReader(participant, LOWCMD), participant):
             entity.close()
-        participant.close()
+            entity.close()
     participant.close()
-
-
-def test_an_error_inside_leaves_the_domain_too(domain_id):
-    before = possessions()
-
-    def fail():
-        with Participant(domain_id, "lo") as participant:
-            RawWriter(participant, LOWCMD)
-            raise KeyError(domain_id)
-
-    with pytest.raises(KeyError) as caught:
-        fail()
-    assert possessions() == before
-    assert caught.traceback  # it still holds the participant
 
 
 def test_two_participants_share_a_domain_and_the_last_one_ends_it(domain_id):
@@ -186,14 +166,6 @@ def test_own_endpoints_are_left_out(domain_id, until):
         assert [e.pid for e in other.writers(LOWCMD.name)] == [str(os.getpid())]
 
 
-def test_an_endpoint_is_named_as_well_as_can_be():
-    known = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", "g1", "4242", "policy")
-    assert str(known) == "policy (pid 4242 on g1)"
-    assert str(Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid")) == "participant guid"
-    nameless = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", pid="7")
-    assert str(nameless) == "process (pid 7 on an unknown host)"
-
-
 @pytest.mark.parametrize(
     ("written", "read", "program"),
     [
@@ -204,7 +176,6 @@ def test_an_endpoint_is_named_as_well_as_can_be():
             "g1stream stream",
         ),
         (set(), {"rt/lowcmd", "rt/g1stream/log", "rt/g1stream/reference"}, "g1stream record"),
-        ({"rt/lowstate"}, {"rt/lowcmd"}, ""),
         (set(), {"rt/lowcmd"}, ""),
     ],
 )
@@ -216,7 +187,7 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
     """Who merely shares the domain is not woken by them: nothing comes by multicast."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bystander:
         bystander.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bystander.bind(("", _multicast_port(domain_id)))
+        bystander.bind(("", 7400 + 250 * domain_id + 1))  # of all (RTPS 2.5, section 9.6.2)
         group = socket.inet_aton("239.255.0.1") + socket.inet_aton("127.0.0.1")
         bystander.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         bystander.setblocking(False)
@@ -228,52 +199,32 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
             bystander.recv(65536)
 
 
-def _multicast_port(domain):
-    """Where samples to everybody in a domain would go (RTPS 2.5, section 9.6.2)."""
-    return 7400 + 250 * domain + 1
-
-
 def test_a_bridge_is_discovered_and_forgotten(domain_id, until):
     announced = AnnouncedBridge("hanging", "g1_29dof", 700.0)
     with Participant(domain_id, "lo") as ours:
-        assert announced_in(ours) is None
+
+        def found():
+            return AnnouncedBridge.by(ours.writers(LOWSTATE.name))
+
+        assert found() is None
         with Participant(domain_id, "lo") as bridge:
             writer = RawWriter(bridge, LOWSTATE, user_data=announced.user_data)
-            until(lambda: announced_in(ours) == announced, "the bridge to say how it holds")
+            until(lambda: found() == announced, "the bridge to say how it holds")
             RawReader(ours, LOWSTATE)
             until(lambda: writer.matched, "the reader of LowState to match")
-        until(lambda: announced_in(ours) is None, "the bridge to be gone")
+        until(lambda: found() is None, "the bridge to be gone")
 
 
-def announced_in(participant):
-    return AnnouncedBridge.by(participant.writers(LOWSTATE.name))
-
-
-@pytest.mark.parametrize("user_data", [b"", b"somebody else's", b"g1stream.bridge=", b"g1stream"])
-def test_a_writer_that_says_something_else_says_nothing(domain_id, until, user_data):
-    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
-        RawWriter(bridge, LOWSTATE, user_data=user_data)
-        until(lambda: ours.writers(LOWSTATE.name), "the writer to be discovered")
-        assert announced_in(ours) is None
-
-
-def test_two_that_contradict_each_other_say_nothing(domain_id, until):
-    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
-        for support in ("bolted", "hanging"):
-            RawWriter(bridge, LOWSTATE, user_data=AnnouncedBridge(support).user_data)
-        until(lambda: len(ours.writers(LOWSTATE.name)) == 2, "both writers to be discovered")
-        assert announced_in(ours) is None
-
-
-@pytest.mark.parametrize("rate", ["0", "0.5", "-1", "inf", "nan", "fast"])
-def test_a_rate_that_no_bridge_has_says_nothing(rate):
-    assert AnnouncedBridge.by([_announces(f"g1stream.bridge=bolted;{rate};g1")]) is None
-
-
-def test_a_robot_may_have_any_name():
-    announced = AnnouncedBridge("hanging", "my;own;robot", 700.0)
-    assert AnnouncedBridge.by([_announces(announced.user_data.decode())]) == announced
-
-
-def _announces(text):
-    return SimpleNamespace(user_data=text.encode())
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        ([""], None),
+        (["somebody else's"], None),
+        (["g1stream.bridge="], None),
+        *(([f"g1stream.bridge=bolted;{rate};g1"], None) for rate in ("0.5", "inf", "fast")),
+        (["g1stream.bridge=bolted;700;my;own;g1"], AnnouncedBridge("bolted", "my;own;g1", 700.0)),
+        (["g1stream.bridge=bolted;700;g1", "g1stream.bridge=hanging;700;g1"], None),
+    ],
+)
+def test_what_a_writer_announces(texts, expected):
+    assert AnnouncedBridge.by([SimpleNamespace(user_data=t.encode()) for t in texts]) == expected

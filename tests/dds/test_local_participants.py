@@ -1,6 +1,3 @@
-"""The programs of this machine that are on DDS, by their ports alone."""
-
-import os
 import subprocess
 import sys
 
@@ -10,34 +7,26 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.local_participants import domains_of_ports, local_participants
 
 PLAIN = "from cyclonedds.domain import DomainParticipant; participant = DomainParticipant({})"
-INDEX = (
-    "<CycloneDDS><Domain><Discovery><ParticipantIndex>{}</ParticipantIndex></Discovery></Domain>"
-    "</CycloneDDS>"
-)
 
 
 def found_in(domain):
     return [one for one in local_participants() if one.domain == domain]
 
 
-@pytest.mark.parametrize("index", ["none", "auto"])
-def test_a_program_that_is_not_ours(claim_domain, stranger, monkeypatch, index):
-    """With the unicast ports of RTPS, or with others."""
+@pytest.mark.parametrize(
+    ("general", "index"),
+    [("", "none"), ("<General><AllowMulticast>false</AllowMulticast></General>", "auto")],
+)
+def test_a_program_that_is_not_ours(claim_domain, stranger, monkeypatch, general, index):
+    """Without the unicast ports of RTPS, or with them alone."""
     domain = claim_domain()
-    monkeypatch.setenv("CYCLONEDDS_URI", INDEX.format(index))
+    discovery = f"<Discovery><ParticipantIndex>{index}</ParticipantIndex></Discovery>"
+    uri = f"<CycloneDDS><Domain>{general}{discovery}</Domain></CycloneDDS>"
+    monkeypatch.setenv("CYCLONEDDS_URI", uri)
     pid = stranger(PLAIN.format(domain))
     (found,) = found_in(domain)
     assert (found.pid, found.apart) == (pid, False)
-    assert "DomainParticipant" in str(found)
     assert f"pid {pid}" in str(found)
-
-
-def test_without_multicast(claim_domain, stranger, monkeypatch):
-    domain = claim_domain()
-    general = "<General><AllowMulticast>false</AllowMulticast></General>"
-    monkeypatch.setenv("CYCLONEDDS_URI", INDEX.format("auto").replace("<Disc", f"{general}<Disc"))
-    pid = stranger(PLAIN.format(domain))
-    assert [one.pid for one in found_in(domain)] == [pid]
 
 
 def test_this_process_and_what_it_started_are_left_out(domain_id):
@@ -70,14 +59,11 @@ def test_another_network_namespace(claim_domain, stranger):
     [
         ([7400], {0}),  # discovery by multicast
         ([7400 + 250 * 232], {232}),
-        ([7410, 7411], {0}),
         ([7400 + 250 * 3 + 10 + 18, 7400 + 250 * 3 + 11 + 18], {3}),  # participant 9
         ([7410], set()),  # one port alone is anybody's
         ([7411, 7412], set()),  # the first has to be even
-        ([7402, 7403], set()),
         ([7401], set()),
         ([53, 7399, 7400 + 250 * 233], set()),
-        ([40848, 22900, 22901], {62}),
     ],
 )
 def test_the_ports_of_a_domain(ports, domains):
@@ -94,4 +80,3 @@ def test_a_process_that_may_not_be_seen(tmp_path):
         (tmp_path / "self" / "net" / "udp").write_text(f"header\n{line.format(state)}\n")
         found = [(one.domain, one.pid, one.command) for one in local_participants(tmp_path)]
         assert found == expected
-    assert os.getpid() not in {one.pid for one in local_participants()}

@@ -1,5 +1,3 @@
-"""Events on rt/g1stream/log."""
-
 import logging
 
 import pytest

@@ -1,9 +1,5 @@
-"""Samples as bytes and as fields."""
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import (
@@ -13,7 +9,6 @@ from g1stream.dds.messages import (
     Log,
     LowCmd,
     LowState,
-    Message,
     Reference,
     Samples,
     SecondaryImu,
@@ -42,10 +37,6 @@ def random_sample(random_payload):
     return make
 
 
-#: Attributes of messages that are no view of a single field.
-_NO_FIELDS = ("payload", "_modes", "target", "_buttons", "_words", "_reading_words", "weight")
-
-
 @each_message
 def test_bytes_go_in_and_out_unaltered(cls, random_sample):
     message = cls()
@@ -55,23 +46,15 @@ def test_bytes_go_in_and_out_unaltered(cls, random_sample):
 
 
 @each_message
-def test_a_new_message_is_zero(cls):
-    data = cls().tobytes()
-    assert data[:4] == CDR_HEADER
-    assert not any(data[4:])
-
-
-@each_message
 def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
     """Attributes are views, named like the fields of the type or of a struct in it."""
     message = cls()
     message.load(random_sample(cls))
-    shown = {k: v for k, v in vars(message).items() if isinstance(v, np.ndarray)}
-    shown = {k: v for k, v in shown.items() if k not in _NO_FIELDS}
+    fields = {path.split(".")[-1]: path for path in sorted(message.layout.fields)}  # of motors last
+    shown = {name: view for name, view in vars(message).items() if name in fields}
     assert shown
     for name, view in shown.items():
-        paths = [p for p in message.layout.fields if p.split(".")[-1] == name]
-        (path,) = paths if len(paths) == 1 else (p for p in paths if p.startswith("motor_"))
+        path = fields[name]
         whole = message.layout[path].read(message.payload)
         assert view.tobytes() == whole[tuple(slice(n) for n in view.shape)].tobytes(), name
         view[...] = 7
@@ -117,37 +100,28 @@ def test_motors_are_the_first_29(cls, array, fields):
         values = message.layout[f"{array}.{name}"].read(message.payload)
         assert values.tolist() == [*range(1, 30), 0, 0, 0, 0, 0, 0]
     assert message.motor_mode.tolist() == list(range(1, 30))
-
-
-@with_motors
-def test_one_mode_for_all_motors(cls, array, fields):
-    message = cls()
     message.motor_mode = 1
-    modes = message.layout[f"{array}.mode"].read(message.payload)
-    assert modes.tolist() == [1] * 29 + [0] * 6
+    assert message.layout[f"{array}.mode"].read(message.payload).tolist() == [1] * 29 + [0] * 6
 
 
-@each_message
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda data: b"",
-        lambda data: data[:3],
-        lambda data: data[:-1],
-        lambda data: data + b"\0",
-        lambda data: b"\x00\x00" + data[2:],  # big endian
-        lambda data: b"\x00\x07" + data[2:],  # XCDR2
-    ],
-    ids=["empty", "header cut", "cut", "too long", "big endian", "XCDR2"],
-)
-def test_what_is_no_sample_is_refused_and_changes_nothing(cls, spoil, random_sample):
-    message = cls()
-    message.load(random_sample(cls))
-    with pytest.raises(WireError) as caught:
-        message.load(spoil(random_sample(cls, 2)))
-    assert cls.idl_type.__idl_typename__ in caught.value.cause
-    assert "XCDR1" in caught.value.remedy
-    assert message.tobytes() == random_sample(cls)
+SPOILT = [
+    pytest.param(lambda data: b"", id="empty"),
+    pytest.param(lambda data: data[:-1], id="cut"),
+    pytest.param(lambda data: data + b"\0", id="too long"),
+    pytest.param(lambda data: b"\x00\x00" + data[2:], id="big endian"),
+    pytest.param(lambda data: b"\x00\x07" + data[2:], id="XCDR2"),
+]
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_what_is_no_sample_is_refused_and_changes_nothing(spoil, random_sample):
+    message, good = LowCmd(), random_sample(LowCmd)
+    message.load(good)
+    with pytest.raises(WireError, match="LowCmd_"):
+        message.load(spoil(random_sample(LowCmd, 2)))
+    assert message.tobytes() == good
+    with pytest.raises(WireError, match="LowCmd_"):
+        Samples(LOWCMD, [good, spoil(good)])
 
 
 def test_options_in_the_header_are_taken_over(random_sample):
@@ -157,14 +131,6 @@ def test_options_in_the_header_are_taken_over(random_sample):
     imu = SecondaryImu()
     imu.load(data)
     assert imu.tobytes() == data
-
-
-def test_bytes_taken_are_a_copy():
-    command = LowCmd()
-    command.q[:] = 1.0
-    before = command.tobytes()
-    command.q[:] = 2.0
-    assert before != command.tobytes()
 
 
 @pytest.mark.parametrize("cls", [LowCmd, LowState])
@@ -177,38 +143,17 @@ def test_a_sealed_message_matches_until_it_changes(cls):
     message.q[7] += 1e-3
     assert not message.crc_matches()
     message.load(data)
-    assert message.crc_matches()
     assert message.seal() == data
-
-
-def test_messages_do_not_share_a_buffer():
-    one, other = LowCmd(), LowCmd()
-    one.q[:] = 1.0
-    assert not other.q.any()
-
-
-def test_a_field_can_be_viewed_by_its_path():
-    state = LowState()
-    state.view("motor_state.temperature")[4] = (40, 60)
-    assert state.layout["motor_state.temperature"].read(state.payload)[4].tolist() == [40, 60]
-
-
-def test_a_message_is_a_type_and_no_more():
-    assert all(issubclass(cls, Message) for cls in MESSAGES)
-    assert len({cls.idl_type.__idl_typename__ for cls in MESSAGES}) == len(MESSAGES)
-    assert {topic.message for topic in TOPICS} == set(MESSAGES)
 
 
 # Texts
 
 
 def test_log_texts_go_round():
-    log = Log()
+    log, again = Log(), Log()
     log.name, log.text = "stream", "PLAY -> DAMP: der Rumpf kippt, 1.2 rad, 傾き"
-    again = Log()
     again.load(log.tobytes())
-    assert (again.name, again.text) == (log.name, log.text)
-    assert again.text.endswith("傾き")
+    assert (again.name, again.text) == ("stream", "PLAY -> DAMP: der Rumpf kippt, 1.2 rad, 傾き")
 
 
 def test_a_shorter_text_leaves_nothing_of_a_longer_one():
@@ -219,7 +164,7 @@ def test_a_shorter_text_leaves_nothing_of_a_longer_one():
     assert b"x" not in log.tobytes()
 
 
-@pytest.mark.parametrize("character", ["é", "傾", "🤖"])
+@pytest.mark.parametrize("character", ["é", "🤖"])
 def test_a_character_cut_in_two_is_left_out(character):
     size = len(character.encode())
     for kept in range(size):
@@ -232,27 +177,12 @@ def test_a_character_cut_in_two_is_left_out(character):
     assert log.text == "x" * (240 - size) + character
 
 
-@pytest.mark.slow
-@given(st.text(max_size=300))
-def test_what_is_kept_of_a_text_is_its_beginning(text):
-    log = Log()
-    log.text = text
-    readable = text.encode(errors="replace").decode()
-    assert readable.rstrip("\0").startswith(log.text)
-    if len(readable.encode()) <= 240:
-        assert log.text == readable.rstrip("\0")
-
-
-def test_a_text_that_has_no_utf8_is_told_all_the_same():
+def test_bytes_that_are_no_text_do_no_harm():
     log = Log()
     log.text = b"motion-\xff.csv".decode(errors="surrogateescape")
     assert log.text == "motion-?.csv"
-
-
-def test_received_bytes_that_are_no_text_do_no_harm():
-    log = Log()
     log.view("text")[:4] = (0x61, 0xFF, 0xFE, 0x62)
-    assert log.text == "a��b"
+    assert log.text.startswith("a\ufffd\ufffdb")
 
 
 def test_fields_of_a_batch_are_those_the_official_sdk_serialised(golden):
@@ -266,24 +196,3 @@ def test_fields_of_a_batch_are_those_the_official_sdk_serialised(golden):
     temperatures = [[motor[5] for motor in state["motor_state"][:29]] for state in states]
     np.testing.assert_array_equal(samples["motor_state.temperature"], temperatures)
     assert samples["motor_state.q"].dtype == np.float32
-
-
-def test_an_empty_batch_has_empty_fields():
-    samples = Samples(LOWCMD, [])
-    assert samples["motor_cmd.q"].shape == (0, 29)
-    assert samples["crc"].shape == (0,)
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda cdr: cdr[:-1],
-        lambda cdr: cdr + b"\0",
-        lambda cdr: b"",
-        lambda cdr: b"\0\0" + cdr[2:],
-    ],
-)
-def test_what_is_not_a_sample_of_the_type_is_refused(golden, spoil):
-    good = bytes.fromhex(golden["lowcmd"][0]["cdr"])
-    with pytest.raises(WireError, match="LowCmd_"):
-        Samples(LOWCMD, [good, spoil(good)])

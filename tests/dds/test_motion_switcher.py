@@ -1,13 +1,7 @@
-"""The motion service's types against idl/ and the SDK's bytes, and the client against a server."""
-
-from __future__ import annotations
-
 import dataclasses
 import json
 import threading
-import time
 from contextlib import contextmanager
-from typing import get_args, get_type_hints
 
 import pytest
 
@@ -23,41 +17,6 @@ from g1stream.dds.motion_switcher import (
     response_to,
 )
 from g1stream.errors import WireError
-
-IDL_NAMES = {
-    str: "string",
-    bool: "boolean",
-    "int32": "long",
-    "int64": "long long",
-    "byte": "octet",
-    "uint8": "octet",  # on cyclonedds 0.10
-}
-
-
-def idl_name(hint):
-    mark = hint if hint in IDL_NAMES else (get_args(hint)[1:] or (hint,))[0]
-    if hasattr(mark, "subtype"):
-        return f"sequence<{idl_name(mark.subtype)}>"
-    return IDL_NAMES.get(mark) or mark.__idl_typename__.rpartition(".")[2]
-
-
-def structs(idl_type):
-    """A type and those in it, by name, with the IDL name of each field's type."""
-    hints = get_type_hints(idl_type, include_extras=True)
-    found = {idl_type.__idl_typename__: {name: idl_name(hint) for name, hint in hints.items()}}
-    for hint in hints.values():
-        if hasattr(hint, "__idl_typename__"):
-            found |= structs(hint)
-    return found
-
-
-def test_types_are_those_of_the_idl(declared):
-    expected = {
-        name: {field: element for field, (element, _) in struct.fields.items()}
-        for name, struct in declared.items()
-        if name.startswith("unitree_api.")
-    }
-    assert structs(Request_) | structs(Response_) == expected
 
 
 @pytest.mark.parametrize(
@@ -76,7 +35,10 @@ def test_bytes_are_the_sdks(idl_type, name, golden):
 
 @contextmanager
 def service(domain_id, answer):
-    """A service in a thread that answers with `answer(api id, parameter)`: code, data or None."""
+    """A service in a thread that answers with `answer(api id, parameter)`: code, data or None.
+
+    Before each answer it gives one to somebody else's request.
+    """
     done = threading.Event()
     calls = []
     with Participant(domain_id, "lo") as participant:
@@ -85,10 +47,13 @@ def service(domain_id, answer):
         def serve():
             while not done.wait(0.002):
                 for request in endpoint.take():
-                    api = request.header.identity.api_id
-                    calls.append((api, json.loads(request.parameter)))
-                    given = answer(api, request.parameter)
+                    identity = request.header.identity
+                    calls.append((identity.api_id, json.loads(request.parameter)))
+                    given = answer(*calls[-1])
                     if given:
+                        other = response_to(request, *status("other"))
+                        other.header.identity = type(identity)(id=1, api_id=identity.api_id)
+                        endpoint.write(other)
                         endpoint.write(response_to(request, *given))
 
         thread = threading.Thread(target=serve)
@@ -104,22 +69,18 @@ def status(name="ai", form="0"):
     return ErrorCode.DONE, json.dumps({"form": form, "name": name})
 
 
-def test_check_reads_form_and_name(domain_id):
-    with service(domain_id, lambda *_: status("normal", "1")), Participant(domain_id, "lo") as ours:
-        assert MotionSwitcherClient(ours).check() == OnboardStatus(form="1", name="normal")
-
-
 def test_release_and_select_are_sent_once_and_waited_for(domain_id):
     active = ["ai"]
 
     def answer(api, parameter):
         if api == ApiId.CHECK_MODE:
-            return status(active[0])
-        active[0] = json.loads(parameter).get("name", "")
+            return status(active[0], "1")
+        active[0] = parameter.get("name", "")
         return ErrorCode.DONE, ""
 
     with service(domain_id, answer) as calls, Participant(domain_id, "lo") as ours:
         client = MotionSwitcherClient(ours)
+        assert client.check() == OnboardStatus(form="1", name="ai")
         client.release()
         assert active == [""]
         client.select("advanced")
@@ -132,7 +93,6 @@ def test_release_and_select_are_sent_once_and_waited_for(domain_id):
     ("given", "named"),
     [
         ((ErrorCode.BUSY, ""), "7002"),
-        ((4242, ""), "4242"),
         ((ErrorCode.DONE, "no JSON"), "no JSON"),
         ((ErrorCode.DONE, "[1]"), "[1]"),
         ((ErrorCode.DONE, '{"form": "0"}'), "form"),
@@ -141,7 +101,7 @@ def test_release_and_select_are_sent_once_and_waited_for(domain_id):
 )
 def test_an_answer_that_is_no_status_is_an_error(given, named, domain_id):
     with service(domain_id, lambda *_: given), Participant(domain_id, "lo") as ours:
-        client = MotionSwitcherClient(ours, timeout=1.5)
+        client = MotionSwitcherClient(ours, timeout=1.0)
         with pytest.raises(WireError) as caught:
             client.check()
     assert named in caught.value.cause
@@ -158,31 +118,6 @@ def test_a_mode_that_stays_active_is_an_error(domain_id):
 
 
 def test_no_service_is_told_from_one_that_does_not_answer(domain_id):
-    begun = time.monotonic()
     with Participant(domain_id, "lo") as ours, pytest.raises(WireError) as caught:
-        MotionSwitcherClient(ours, timeout=0.5).check()
-    assert time.monotonic() - begun >= 0.5
+        MotionSwitcherClient(ours, timeout=0.3).check()
     assert "no subscriber" in caught.value.cause
-
-
-def test_answers_to_others_are_ignored(domain_id):
-    with Participant(domain_id, "lo") as theirs:
-        endpoint = ApiEndpoint(theirs, serves=True)
-        done = threading.Event()
-
-        def serve():
-            while not done.wait(0.002):
-                for request in endpoint.take():
-                    mine = response_to(request, *status("ai"))
-                    other = response_to(request, *status("other"))
-                    other.header.identity = type(other.header.identity)(id=1, api_id=1001)
-                    endpoint.write(other)
-                    endpoint.write(mine)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        with Participant(domain_id, "lo") as ours:
-            found = MotionSwitcherClient(ours).check()
-        done.set()
-        thread.join()
-    assert found.name == "ai"

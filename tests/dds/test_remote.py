@@ -1,5 +1,3 @@
-"""The remote control, from bytes made by hand."""
-
 import pytest
 
 from g1stream.dds.messages import LowState
@@ -24,9 +22,9 @@ def bits(*pressed):
     return int.from_bytes(made(pressed)[2:4], "little")
 
 
-@pytest.mark.parametrize("name", [name for name in (*IN_BYTE_2, *IN_BYTE_3) if name])
-def test_each_button_is_its_own_bit(name):
-    assert button_mask(name, "x") == bits(name) == 1 << BUTTONS.index(name)
+def test_each_button_is_its_own_bit():
+    for name in filter(None, (*IN_BYTE_2, *IN_BYTE_3)):
+        assert button_mask(name, "x") == bits(name) == 1 << BUTTONS.index(name)
 
 
 def test_the_buttons_of_a_low_state():
@@ -40,15 +38,16 @@ def test_a_combination_needs_all_its_buttons():
     for pressed in ((), ("L2",), ("B",), ("start", "A")):
         assert operator.stop_reason(bits(*pressed)) == ""
         assert operator.missing(bits(*pressed)) == ""
-    assert operator.stop_reason(bits("L2", "B", "up")).startswith("L2+B was pressed")
-    assert operator.stop_reason(bits("select")).startswith("select was pressed")
+    assert "L2+B" in operator.stop_reason(bits("L2", "B", "up"))
+    assert "L2+B" in operator.missing(bits("L2", "B"))
+    assert "select" in operator.stop_reason(bits("select"))
 
 
 def test_a_dead_man_switch_is_waited_for_and_stops_when_released():
     operator = Operator((), "R1")
     assert "safety.deadman" in operator.missing(bits("L1"))
     assert operator.missing(bits("R1", "A")) == operator.stop_reason(bits("R1")) == ""
-    assert operator.stop_reason(0).startswith("R1 was released")
+    assert "R1" in operator.stop_reason(0)
 
 
 def test_an_unknown_button_is_refused():
@@ -57,9 +56,3 @@ def test_an_unknown_button_is_refused():
     with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):
         Operator(("",), None)
     assert button_mask("l2 + b", "x") == bits("L2", "B")
-
-
-def test_a_pressed_stop_button_keeps_from_the_first_command():
-    operator = Operator(("L2+B",), None)
-    assert operator.missing(0) == ""
-    assert "L2+B" in operator.missing(bits("L2", "B"))

@@ -1,9 +1,8 @@
-"""The Python types against idl/, the source of truth for the wire."""
-
+import pytest
 from cyclonedds.idl import types as cyclone_types
 
-from g1stream.dds.layout import leaves, members
-from g1stream.dds.messages import TOPICS
+from g1stream.dds import types
+from g1stream.dds.layout import members
 
 # Beyond cyclonedds 0.10 IDL's octet is `byte` there: `uint8` would crash peers (see types.py).
 PRIMITIVES = {
@@ -17,11 +16,26 @@ PRIMITIVES = {
 }
 
 
-def test_idl_and_python_declare_the_same_types(declared, our_types):
+def all_types():
+    """Every cyclonedds class of ours with a fixed size, those inside others included."""
+    found = {}
+    pending = [getattr(types, name) for name in types.__all__]
+    while pending:
+        idl_type = pending.pop()
+        found[idl_type.__idl_typename__] = idl_type
+        pending += [one for one, _ in members(idl_type).values() if not isinstance(one, str)]
+    return [found[name] for name in sorted(found)]
+
+
+each_type = pytest.mark.parametrize("idl_type", all_types(), ids=lambda t: t.__idl_typename__)
+
+
+def test_idl_and_python_declare_the_same_types(declared):
     fixed = [name for name in declared if not name.startswith("unitree_api.")]
-    assert [t.__idl_typename__ for t in our_types] == sorted(fixed)
+    assert [t.__idl_typename__ for t in all_types()] == sorted(fixed)
 
 
+@each_type
 def test_fields_are_those_of_the_idl(declared, idl_type):
     name = idl_type.__idl_typename__
     module = name.rpartition(".")[0]
@@ -36,33 +50,7 @@ def test_fields_are_those_of_the_idl(declared, idl_type):
     assert ours == expected
 
 
+@each_type
 def test_types_are_final_and_numbered_in_order(declared, idl_type):
     assert declared[idl_type.__idl_typename__].annotations == ["@final"]
     assert idl_type.__idl_annotations__ == {"extensibility": "final", "autoid": "sequential"}
-
-
-def test_class_is_named_like_its_type(idl_type):
-    assert idl_type.__name__ == idl_type.__idl_typename__.rpartition(".")[2]
-
-
-def test_leaves_are_the_primitives_in_order(declared, idl_type):
-    def walk(name):
-        module = name.rpartition(".")[0]
-        for field, (element, length) in declared[name].fields.items():
-            for i in range(length or 1):
-                index = () if length is None else (i,)
-                if element in PRIMITIVES:
-                    yield field, index
-                else:
-                    for path, inner in walk(f"{module}.{element}"):
-                        yield f"{field}.{path}", index + inner
-
-    found = [(leaf.path, leaf.index) for leaf in leaves(idl_type)]
-    assert found == list(walk(idl_type.__idl_typename__))
-
-
-def test_every_topic_has_a_name_and_a_type_of_its_own(declared):
-    names = [topic.name for topic in TOPICS]
-    assert len(set(names)) == len(names)
-    assert all(name.startswith("rt/") for name in names)
-    assert all(topic.message.idl_type.__idl_typename__ in declared for topic in TOPICS)

@@ -1,5 +1,3 @@
-"""Facts of a machine without problems, with our bridge in the domain."""
-
 from dataclasses import replace
 
 import pytest

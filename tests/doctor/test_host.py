@@ -1,7 +1,3 @@
-"""The wake-up latency, measured on a clock of known lateness."""
-
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import pytest
@@ -40,13 +36,10 @@ def test_latency_and_missed_deadlines_of_a_clock(late, deadlines, missed, worst)
     assert found.median_ns <= 1000  # to the microsecond
 
 
-def test_this_machine():
+def test_on_this_machine():
     facts = inspect_host(RealtimeConfig(priority=0))
     assert next(one for one in facts.interfaces if one.name == "lo").loopback
     assert {grant.what for grant in facts.grants} >= {"SCHED_FIFO", "memory", "affinity"}
-
-
-def test_measured_on_this_machine():
     found = measure_wakeup_latency(RealtimeConfig(priority=0), 500.0, seconds=0.05)
     assert found.deadlines >= 25
     assert found.worst_ns >= found.median_ns

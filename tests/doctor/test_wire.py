@@ -1,5 +1,3 @@
-"""The facts of a real domain with known endpoints in it."""
-
 import threading
 import time
 from importlib.metadata import version
@@ -122,7 +120,6 @@ def test_a_publisher_in_any_domain_is_found(claim_domain, monkeypatch, stranger)
 @pytest.mark.parametrize(
     ("policies", "expected"),
     [
-        ([], Qos()),
         ([Policy.Reliability.BestEffort, Policy.Durability.Volatile], Qos()),
         ([Policy.Deadline(5_000_000)], Qos(deadline=5_000_000)),
         ([Policy.Ownership.Exclusive], Qos(exclusive=True)),

@@ -8,12 +8,11 @@ from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 from known_robots import compile_mujoco, random_frames, reference_urdf, robot
-from known_sessions import change, motion, play, take, write_session
+from known_sessions import change, play, take, write_session
 
 __all__ = [
     "change",
     "compile_mujoco",
-    "motion",
     "play",
     "random_frames",
     "reference_urdf",

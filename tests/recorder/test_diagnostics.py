@@ -1,35 +1,34 @@
-"""Samples that were published and did not arrive."""
-
-from __future__ import annotations
-
 import os
 import socket
 
+import numpy as np
 import pytest
 
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
-from g1stream.recorder.diagnostics import Losses, MissingCommands, dropped_datagrams
+from g1stream.recorder.diagnostics import (
+    ClockReading,
+    Losses,
+    MissingCommands,
+    StepDetector,
+    dropped_datagrams,
+)
+from g1stream.session.records import ClockStep
 
 
-def batch(message, ticks, writer=1):
+def batch(message, ticks):
     made = Batch()
     for tick in ticks:
         message.tick[()] = tick
         made.data.append(message.tobytes())
-        made.writers.append(writer)
+        made.writers.append(1)
         made.publish_times.append(1000 * tick)
     return made
 
 
 def test_two_writers_on_one_topic_are_counted_apart():
     losses = Losses()
-    both = Batch()
-    for tick in range(50):
-        for writer, offset in ((1, 0), (2, 7000)):
-            one = batch(Reference(), [tick + offset], writer)
-            both.data += one.data
-            both.writers += one.writers
-            both.publish_times += one.publish_times
+    both = batch(Reference(), [tick for i in range(50) for tick in (i, i + 7000)])
+    both.writers = [1, 2] * 50
     losses.add(REFERENCE.name, both)
     assert losses.update({REFERENCE.name: 0}, state_step=2.0) == {}
 
@@ -104,3 +103,37 @@ def test_references_that_wait_at_the_end_are_counted_except_the_last(in_transit)
     assert missing.count == 0
     missing.finish()
     assert missing.count == 3
+
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+S = 1000 * MS
+
+
+def steps_of(offsets, period=50 * MS):
+    detector = StepDetector()
+    found = [
+        detector.observe(ClockReading(T0 + i * period + offset, i * period))
+        for i, offset in enumerate(offsets)
+    ]
+    return detector, found
+
+
+def test_no_step_while_the_clocks_keep_their_offset():
+    detector, found = steps_of([0] * 100)
+    assert not any(found)
+    assert (detector.first, detector.last, detector.steps) == (T0, T0, [])
+
+
+@pytest.mark.parametrize("step", [3600 * S, -3600 * S, 5 * MS, -5 * MS])
+def test_a_step_is_detected_once_with_its_size(step):
+    detector, found = steps_of([0] * 10 + [step] * 10)
+    assert found == [0] * 10 + [step] + [0] * 9
+    assert detector.steps == [ClockStep(at_ns=T0 + 10 * 50 * MS + step, step_ns=step)]
+
+
+def test_slewing_is_no_step_but_changes_the_offset():
+    slewed = 500 * np.arange(0, 20_000, 50)  # NTP's most: 500 ppm
+    detector, found = steps_of(slewed.tolist())
+    assert not any(found)
+    assert detector.last - detector.first == slewed[-1]

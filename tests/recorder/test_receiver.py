@@ -1,7 +1,3 @@
-"""The process that receives, and what becomes of a recording when it goes wrong."""
-
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
@@ -90,6 +86,7 @@ def drain_all(receiver):
 def test_samples_wait_for_whoever_drains_them_and_their_memory_is_given_back(
     receiver, writer, until, monkeypatch
 ):
+    """Their log times are those of the arrival."""
     monkeypatch.setattr(module, "_BLOCK", 2**20)  # several of them
     before = time.time_ns()
     sent = numbered(writer, range(1500))
@@ -105,15 +102,6 @@ def test_samples_wait_for_whoever_drains_them_and_their_memory_is_given_back(
     assert receiver.counts.matched[LOWSTATE.name] == 1
     assert receiver.counts.lost[LOWSTATE.name] == 0
     assert os.fstat(receiver._file).st_blocks * 512 < held / 2
-
-
-def test_the_time_is_that_of_the_arrival_while_nothing_is_drained(receiver, writer, until):
-    numbered(writer, range(50))
-    until(lambda: waiting(receiver) == 50, "samples")
-    arrived = time.time_ns()
-    _, log_times, _ = drain_all(receiver)
-    assert len(log_times) == 50
-    assert max(log_times) < arrived
 
 
 def test_samples_without_room_are_counted_as_lost(participant, monkeypatch, until):
@@ -162,7 +150,7 @@ def test_a_program_that_is_silent_itself_does_not_blame_its_child(receiver, unti
     """As while a long computation in C holds the interpreter's lock."""
     until(lambda: receiver._child._beating, "a sign of life")
     monkeypatch.setattr(child_process, "_MAX_SILENCE", 1.0)
-    for _ in range(3):
+    for _ in range(2):
         ctypes.PyDLL(None).usleep(1_700_000)
         time.sleep(0.05)
     assert not receiver._failure

@@ -1,5 +1,3 @@
-"""Session files made of samples whose figures are known, as a fixture."""
+from written_sessions import record, write_session
 
-from written_sessions import write_session
-
-__all__ = ["write_session"]
+__all__ = ["record", "write_session"]

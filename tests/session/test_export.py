@@ -1,5 +1,3 @@
-"""Tables against the arrays they are made of."""
-
 import sys
 
 import numpy as np
@@ -20,11 +18,8 @@ SOURCES = (LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, SECONDARY_IMU)
 @pytest.fixture
 def session(make_sample, on_the_wire, write_session):
     kinds = {kind.source: topic for topic, kind in STREAMS.items()}
-    return open_session(
-        write_session(
-            *((kinds[s], [on_the_wire(make_sample(s)) for _ in range(8)]) for s in SOURCES)
-        )
-    )
+    streams = ((kinds[s], [on_the_wire(make_sample(s)) for _ in range(8)]) for s in SOURCES)
+    return open_session(write_session(*streams))
 
 
 def test_a_column_for_each_joint(session):
@@ -59,14 +54,9 @@ def test_nothing_is_left_out(session, topic):
 
 def test_parquet_reads_back_with_pyarrow(session, tmp_path):
     paths = session.to_parquet(tmp_path / "tables")
-    assert sorted(path.name for path in paths) == [
-        "lowcmd.parquet",
-        "lowstate.parquet",
-        "reference.parquet",
-        "secondary_imu.parquet",
-        "sportmodestate.parquet",
-    ]
+    names = ("lowcmd", "lowstate", "reference", "secondary_imu", "sportmodestate")
     assert sorted((tmp_path / "tables").iterdir()) == sorted(paths)
+    assert sorted(path.name for path in paths) == [f"{name}.parquet" for name in names]
     table = parquet.read_table(tmp_path / "tables" / "lowcmd.parquet")
     np.testing.assert_array_equal(
         table["kp.left_knee_joint"].to_numpy(),

@@ -1,16 +1,10 @@
-"""Logs of other programs as sessions: CSV of several kinds, and Foxglove's joint states."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from mcap_protobuf.writer import Writer
 
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_NAMES
+from written_sessions import turned
 
 RATE = 50
 TIME = np.arange(200) / RATE
@@ -21,9 +15,9 @@ QUAT = np.stack([np.cos(0.1 * TIME), 0 * TIME, 0 * TIME, np.sin(0.1 * TIME)], ax
 EPOCH = 1_700_000_000
 
 
-def write_csv(path, columns):
+def write_csv(path, columns, formats="%.12g"):
     table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, "%.12g", delimiter=",", comments="", header=",".join(columns))
+    np.savetxt(path, table, formats, delimiter=",", comments="", header=",".join(columns))
     return path
 
 
@@ -31,8 +25,12 @@ def named(pattern, values):
     return {pattern.format(name): values[:, i] for i, name in enumerate(JOINT_NAMES)}
 
 
-def seconds(stream):
-    return (stream.publish_time - stream.publish_time[0]) / 1e9
+def has(session, **expected):
+    """The measured columns of a session, and the times."""
+    times = session.measured.publish_time
+    np.testing.assert_allclose((times - times[0]) / 1e9, TIME, atol=2e-6)
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(session.measured, name), values, atol=1e-6)
 
 
 def test_columns_are_told_by_the_words_in_their_names(tmp_path):
@@ -46,15 +44,8 @@ def test_columns_are_told_by_the_words_in_their_names(tmp_path):
         "voltage": TIME,
     }
     session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
-    measured = session.measured
-    for found, expected in (
-        (measured.q, Q),
-        (measured.dq, DQ),
-        (measured.tau, 2 * Q),
-        (session.command.q, TARGETS),
-        (measured.imu_quat_wxyz, QUAT),
-    ):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    has(session, q=Q, dq=DQ, tau=2 * Q, imu_quat_wxyz=QUAT)
+    np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
     assert "unit assumed" in session.metadata["log"]["time"]
     assert session.summary().problems == []
 
@@ -74,7 +65,7 @@ def test_names_that_tools_give_to_columns(tmp_path, measured, target):
         for number, joint in enumerate(JOINT_NAMES):
             columns[pattern.format(joint=joint, number=number)] = values[:, number]
     session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
-    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
+    has(session, q=Q)
     if "targets" not in target:  # a word that says nothing is not guessed at
         np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
 
@@ -82,31 +73,22 @@ def test_names_that_tools_give_to_columns(tmp_path, measured, target):
 @pytest.mark.parametrize(
     ("name", "factor", "start"),
     [
-        ("time", 1, 0.0),
         ("t", 1e3, 5.0),  # ms, by its size
         ("time_ms", 1e3, 0.0),
         ("timestamp_us", 1e6, 3.0),
         ("stamp_ns", 1e9, 0.0),
         ("timestamp_ns", 1e9, 3 * 3600.0),  # since the machine was started
-        ("time_us", 1e6, 3 * 3600.0),
         ("timestamp", 1, EPOCH),
         ("timestamp", 1e9, EPOCH),
     ],
 )
 def test_times_are_read_in_their_unit(tmp_path, name, factor, start):
     columns = {name: np.round((start + TIME) * factor, 3), **named("{}", Q)}
-    np.savetxt(
-        tmp_path / "log.csv",
-        np.column_stack(list(columns.values())),
-        ["%.3f", *["%.9g"] * 29],
-        delimiter=",",
-        comments="",
-        header=",".join(columns),
-    )
-    measured = g1stream.open_session(tmp_path / "log.csv").measured
-    np.testing.assert_allclose(seconds(measured), TIME, atol=2e-6)
+    path = write_csv(tmp_path / "log.csv", columns, ["%.3f", *["%.9g"] * 29])
+    session = g1stream.open_session(path)
+    has(session, q=Q)
     if start == EPOCH:
-        assert measured.publish_time[0] == EPOCH * 10**9
+        assert session.measured.publish_time[0] == EPOCH * 10**9
 
 
 def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
@@ -118,11 +100,8 @@ def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
     columns = {f"base_q{axis}": QUAT[:, i] for i, axis in enumerate("wxyz")}
     write_csv(tmp_path / "base_quat.csv", stamps | columns)
     session = g1stream.open_session(tmp_path)
-    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
-    np.testing.assert_allclose(session.measured.dq, DQ, atol=1e-6)
+    has(session, q=Q, dq=DQ, imu_quat_wxyz=QUAT)
     np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
-    np.testing.assert_allclose(session.measured.imu_quat_wxyz, QUAT, atol=1e-6)
-    np.testing.assert_allclose(seconds(session.measured), TIME, atol=1e-6)
 
 
 def test_joints_that_a_log_lacks_are_absent(tmp_path):
@@ -152,24 +131,10 @@ def test_broken_files_are_refused(tmp_path, text):
         g1stream.open_session(tmp_path / "log.csv")
 
 
-def test_joint_states_and_transforms_of_foxglove(tmp_path):
-    path = tmp_path / "theirs.mcap"
-    with path.open("wb") as file, Writer(file) as writer:
-        for i, row in enumerate(Q):
-            stamp = EPOCH * 10**9 + round(TIME[i] * 1e9)
-            states, frames = JointStates(), FrameTransforms()
-            states.timestamp.FromNanoseconds(stamp)
-            for name, angle in zip(reversed(JOINT_NAMES), row[::-1], strict=True):
-                states.joints.add(name=name, position=angle)
-            frame = frames.transforms.add(parent_frame_id="odom", child_frame_id="pelvis")
-            frame.timestamp.FromNanoseconds(stamp)
-            frame.translation.x, frame.translation.z = TIME[i], 0.8
-            frame.rotation.w, frame.rotation.z = QUAT[i, [0, 3]]
-            for topic, message in (("/joints", states), ("/frames", frames)):
-                writer.write_message(topic, message, log_time=stamp + 7, publish_time=stamp)
-    session = g1stream.open_session(path)
+def test_joint_states_and_transforms_of_foxglove(record):
+    times = EPOCH * 10**9 + np.round(TIME * 1e9).astype(np.int64)
+    session = g1stream.open_session(record(times, angles=lambda i: Q[i], parts=[range(28, -1, -1)]))
     assert session.topics == {"/lowstate": 200, "/sportmodestate": 200}
-    np.testing.assert_allclose(session.measured.q, Q, atol=1e-6)
-    np.testing.assert_allclose(session.measured.imu_quat_wxyz, QUAT, atol=1e-6)
-    np.testing.assert_allclose(session.base.position[:, 0], TIME, atol=1e-6)
+    has(session, q=Q, imu_quat_wxyz=turned(200))
+    np.testing.assert_allclose(session.base.position[:, 2], 0.75 + 0.0005 * np.arange(200))
     assert session.measured.publish_time[0] == EPOCH * 10**9

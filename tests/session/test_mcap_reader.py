@@ -1,16 +1,14 @@
-"""Files of every kind, against the stock reader and writer."""
-
 import os
 import zlib
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from g1stream.errors import RecordingError
 from g1stream.session import mcap_reader
 from g1stream.session.mcap_reader import McapFile
+from written_sessions import stock_reader
 
 T0 = 1_700_000_000_000_000_000
 TOPICS = ("/a", "/b", "/never")
@@ -34,11 +32,10 @@ def write(path, *, finish=True, n=400, **settings):
 
 
 def stock(path, topic):
-    with path.open("rb") as file:
-        return [
-            (message.log_time, message.publish_time, message.data)
-            for _, _, message in make_reader(file).iter_messages(topics=[topic])
-        ]
+    return [
+        (message.log_time, message.publish_time, message.data)
+        for _, _, message in stock_reader(path).iter_messages(topics=[topic])
+    ]
 
 
 def ours(file, topic):
@@ -69,7 +66,7 @@ def test_a_file_cut_anywhere_counts_what_it_yields(tmp_path, index):
     whole = {topic: stock(path, topic) for topic in TOPICS}
     size = path.stat().st_size
     lengths = []
-    for cut in np.linspace(size - 9, 8, 120, dtype=int):
+    for cut in np.linspace(size - 9, 8, 60, dtype=int):
         os.truncate(path, cut)
         file = McapFile(path)
         assert not file.complete
@@ -83,42 +80,27 @@ def test_a_file_cut_anywhere_counts_what_it_yields(tmp_path, index):
     assert len(set(lengths)) > 8
 
 
-def test_messages_stay_in_order_where_chunks_have_different_topics(tmp_path):
-    path = tmp_path / "f.mcap"
+def write_chunks(path, chunks):
+    """Each chunk is a list of topic, number and data."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         channels = {topic: writer.register_channel(topic, "none", 0) for topic in TOPICS}
-        for i, in_chunk in enumerate([(0,), (0, 1), (0,), (1,), (0,), (1,), (0, 1), (1,), (0,)]):
-            for topic in in_chunk:
-                writer.add_message(channels[TOPICS[topic]], T0 + i, bytes([i]), T0 + i)
+        for chunk in chunks:
+            for topic, i, data in chunk:
+                writer.add_message(channels[topic], T0 + i, data, T0 + i)
             writer.flush()
         writer.finish()
-    found = dict.fromkeys(TOPICS[:2], b"")
-    for topic, messages in McapFile(path).batches(set(found)):
+    return path
+
+
+def test_messages_stay_in_order_where_chunks_have_different_topics(tmp_path):
+    topics = [("/a",), TOPICS[:2], ("/a",), ("/b",), ("/a",), ("/b",), TOPICS[:2], ("/b",), ("/a",)]
+    chunks = [[(topic, i, bytes([i])) for topic in within] for i, within in enumerate(topics)]
+    found = {"/a": b"", "/b": b""}
+    for topic, messages in McapFile(write_chunks(tmp_path / "f.mcap", chunks)).batches(set(found)):
         found[topic] += b"".join(messages.data)
     assert [list(data) for data in found.values()] == [[0, 1, 2, 4, 6, 8], [1, 3, 5, 6, 7]]
-
-
-def test_only_chunks_with_a_wanted_topic_are_unpacked(tmp_path):
-    path = tmp_path / "f.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for topic in ("/a", "/b"):
-            channel = writer.register_channel(topic, "none", 0)
-            for i in range(50):
-                writer.add_message(channel, T0 + i, bytes(100), T0 + i)
-            writer.flush()
-        writer.finish()
-    content = bytearray(path.read_bytes())
-    place = content.index(b"zstd", content.index(b"zstd") + 4) + 30
-    content[place] ^= 0xFF  # within the second chunk
-    path.write_bytes(content)
-    damaged = McapFile(path)
-    assert ours(damaged, "/a") == [(T0 + i, T0 + i, bytes(100)) for i in range(50)]
-    with pytest.raises(RecordingError, match="damaged"):
-        ours(damaged, "/b")
 
 
 def test_an_index_into_the_next_chunk_is_noticed(tmp_path):
@@ -150,12 +132,23 @@ def layout(path):
     return file._chunks, file.counts, file.complete, file.unread, file.channels, messages
 
 
-def without_checksum(path, content):
+def without_checksum(path, target):
     """The same file, whose summary is not trusted without its checksum."""
-    content = bytearray(content)
-    content[-12:-8] = bytes(4)
+    content = path.read_bytes()
+    target.write_bytes(content[:-12] + bytes(4) + content[-8:])
+    return target
+
+
+def flip(path, place, bits):
+    content = bytearray(path.read_bytes())
+    content[place] ^= bits
     path.write_bytes(content)
-    return path
+
+
+def first_entry(path):
+    """Where the index of chunks has its first chunk."""
+    content = path.read_bytes()
+    return content.index(b"\x08", int.from_bytes(content[-28:-20], "little")) + 9
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -167,39 +160,33 @@ def test_an_index_tells_the_same_as_the_records_in_fewer_reads(tmp_path, monkeyp
     )
     found = layout(path)
     indexed = len(counts)
-    assert found == layout(without_checksum(tmp_path / "g.mcap", path.read_bytes()))
+    assert found == layout(without_checksum(path, tmp_path / "g.mcap"))
     assert len(counts) - indexed > indexed + 3 * len(found[0])
 
 
-@pytest.mark.parametrize("place", range(0, 33, 4))
+@pytest.mark.parametrize("place", [0, 4, 12, 20, 28])
 def test_a_chunk_that_begins_otherwise_than_indexed_is_read_without_the_index(tmp_path, place):
     """Its opcode, length, times, or the size of its records."""
     path = write(tmp_path / "f.mcap", compression=CompressionType.NONE)
-    content = bytearray(path.read_bytes())
-    content[McapFile(path)._chunks[3].record.start - 9 + place] ^= 0x11
-    path.write_bytes(content)
-    assert layout(path) == layout(without_checksum(tmp_path / "f.mcap", content))
+    flip(path, McapFile(path)._chunks[3].record.start - 9 + place, 0x11)
+    found = layout(path)
+    assert found == layout(without_checksum(path, path))
 
 
 def test_a_damaged_index_changes_nothing(tmp_path):
     path = write(tmp_path / "f.mcap")
-    whole, content = layout(path), bytearray(path.read_bytes())
-    start = int.from_bytes(content[-28:-20], "little")
-    head = content.index(b"\x08", start)  # of an entry for a chunk
-    for place in range(head + 9, head + 9 + 60, 7):
-        damaged = content.copy()
-        damaged[place] ^= 0x40
-        path.write_bytes(damaged)
+    whole, entry = layout(path), first_entry(path)
+    for place in range(entry, entry + 60, 7):
+        flip(path, place, 0x40)
         assert layout(path) == whole
+        flip(path, place, 0x40)
 
 
 def test_messages_that_are_not_where_the_index_says_are_noticed(tmp_path):
     path = write(tmp_path / "f.mcap")
     chunk = McapFile(path)._chunks[2]
     channel, (start, _) = next(iter(chunk.index.items()))
-    content = bytearray(path.read_bytes())
-    content[start - 6] ^= 0x20  # the channel of its MessageIndex record
-    path.write_bytes(content)
+    flip(path, start - 6, 0x20)  # the channel of its MessageIndex record
     with pytest.raises(RecordingError, match=f"the record at byte {chunk.record.start} "):
         ours(McapFile(path), TOPICS[channel - 1])
 
@@ -207,14 +194,9 @@ def test_messages_that_are_not_where_the_index_says_are_noticed(tmp_path):
 @pytest.mark.parametrize("n_in_a_chunk", [1, 20])
 def test_arrays_of_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch, n_in_a_chunk):
     monkeypatch.setattr(mcap_reader, "_GROUP", 0)  # a batch for each chunk
-    path, sent = tmp_path / "f.mcap", np.arange(60 * n_in_a_chunk, dtype="<i8")
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=39 * n_in_a_chunk - 1)  # of 31 + 8 bytes a message
-        writer.start()
-        channel = writer.register_channel("/a", "none", 0)
-        for i in sent.tolist():
-            writer.add_message(channel, T0 + i, i.to_bytes(8, "little"), T0 - i, i)
-        writer.finish()
+    sent = np.arange(60 * n_in_a_chunk, dtype="<i8")
+    chunks = [[("/a", i, i.tobytes()) for i in part] for part in np.split(sent, 60)]
+    path = write_chunks(tmp_path / "f.mcap", chunks)
     data, rows, times = [], [], []  # each the last that refers to the memory of its batch
     for kept, of in (
         (data, lambda messages: messages.data),
@@ -222,7 +204,7 @@ def test_arrays_of_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch,
         (times, lambda messages: messages.log_times),
     ):
         kept += [of(messages) for _, messages in McapFile(path).batches({"/a"})]
-        assert len(kept) >= 60
+        assert len(kept) == 60
     assert [int.from_bytes(one, "little") for part in data for one in part] == sent.tolist()
     assert np.concatenate(rows).view("<i8")[:, 0].tolist() == sent.tolist()
     assert np.concatenate(times).tolist() == (T0 + sent).tolist()
@@ -232,13 +214,12 @@ def test_arrays_of_batches_that_are_kept_stay_as_they_are(tmp_path, monkeypatch,
 def test_an_index_with_a_right_checksum_and_wrong_content_hides_no_message(tmp_path, place):
     """A chunk's time, start, the channels of its MessageIndex records, and their length."""
     path = write(tmp_path / "f.mcap")
-    content = bytearray(path.read_bytes())
-    start = int.from_bytes(content[-28:-20], "little")
-    entry = content.index(b"\x08", start) + 9
-    content[entry + place] ^= 0x01
-    content[-12:-8] = zlib.crc32(content[start:-12]).to_bytes(4, "little")
-    path.write_bytes(content)
-    slow = McapFile(without_checksum(tmp_path / "slow.mcap", content.copy()))
+    flip(path, first_entry(path) + place, 0x01)
+    content = path.read_bytes()
+    summary = content[int.from_bytes(content[-28:-20], "little") : -12]
+    checksum = zlib.crc32(summary).to_bytes(4, "little")
+    path.write_bytes(content[:-12] + checksum + content[-8:])
+    slow = McapFile(without_checksum(path, tmp_path / "slow.mcap"))
     wanted = {topic: ours(slow, topic) for topic in TOPICS}
     try:
         found = {topic: ours(McapFile(path), topic) for topic in TOPICS}

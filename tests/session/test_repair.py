@@ -1,7 +1,3 @@
-"""Sessions of killed recorders, mended, as the stock reader and pymcap-cli's doctor see them."""
-
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -10,7 +6,6 @@ import sys
 import pytest
 import yaml
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from g1stream.app.session import open_session
@@ -18,36 +13,38 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.repair import repair_session
-from g1stream.session.writer import SessionWriter
-
-TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
+from written_sessions import stock_reader
 
 
 @pytest.fixture
 def sent(make_sample, on_the_wire):
-    return {t: [on_the_wire(make_sample(topic)) for _ in range(40)] for t, topic in TOPICS.items()}
+    return {
+        f"/{topic.name[3:]}": [on_the_wire(make_sample(topic)) for _ in range(40)]
+        for topic in (LOWCMD, LOWSTATE)
+    }
 
 
-def doctor(path):
-    """The run of pymcap-cli's check of a file."""
+def passes_doctor(path):
+    """Check a file with pymcap-cli."""
     program = "from sys import exit; from pymcap_cli.cli import main; exit(main())"
     command = [sys.executable, "-c", program, "doctor", str(path)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stdout
+    assert "passed" in result.stdout
 
 
 def by_stock_reader(path):
     """Topic, log time and data of the messages; names of attachments and metadata, by index."""
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        summary = reader.get_summary()
-        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
-        assert summary.statistics.message_count == len(found)
-        assert len(summary.chunk_indexes) == summary.statistics.chunk_count
-        names = [one.name for one in reader.iter_attachments()]
-        return found, names, [one.name for one in reader.iter_metadata()]
+    reader = stock_reader(path, validate_crcs=True)
+    summary = reader.get_summary()
+    found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+    assert summary.statistics.message_count == len(found)
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count
+    names = [one.name for one in reader.iter_attachments()]
+    return found, names, [one.name for one in reader.iter_metadata()]
 
 
-@pytest.mark.parametrize("share", [0.35, 0.8, 0.99, 1.0])
+@pytest.mark.parametrize("share", [0.35, 0.99])
 def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, share):
     path = write_session(*sent.items(), close=False)
     os.truncate(path, int(path.stat().st_size * share))
@@ -63,9 +60,7 @@ def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, 
     assert len(found) == done.messages
     assert (attachments, metadata) == (["motion.csv"], ["g1stream", "g1stream.repaired"])
     assert any("did not close the file" in one for one in repaired.summary().problems)
-    result = doctor(path)
-    assert result.returncode == 0, result.stdout
-    assert "passed" in result.stdout
+    passes_doctor(path)
     again = path.read_bytes()
     assert repair_session(path)[0].dropped is None
     assert path.read_bytes() == again
@@ -126,15 +121,14 @@ def test_messages_outside_of_chunks_are_read_and_kept(tmp_path, finish, chunks_b
     found, attachments, metadata = by_stock_reader(path)
     assert sorted(found) == sorted((t, i, data) for t in expected for i, _, data in expected[t])
     assert (attachments, metadata) == (["a.txt"], ["theirs"])
-    with path.open("rb") as file:
-        channels = make_reader(file).get_summary().channels.values()
+    channels = stock_reader(path).get_summary().channels.values()
     assert {one.topic: one.metadata for one in channels} == {
         topic: {"callerid": topic} for topic in expected
     }
     assert repair_session(path)[0].dropped is None
 
 
-@pytest.mark.parametrize("share", [None, 0.01, 0.2, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("share", [None, 0.01, 0.9, 1.0])
 def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, share):
     path = write_session(*sent.items(), close=False)
     content = path.read_bytes()
@@ -161,21 +155,21 @@ def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, s
     assert len(by_stock_reader(path)[0]) == done.messages
 
 
-def test_files_one_behind_the_other_are_refused_with_where_the_first_ends(write_session, sent):
-    path = write_session(*sent.items())
-    content = path.read_bytes()
-    path.write_bytes(content + content)
-    with pytest.raises(RecordingError, match=f"several MCAP files.*at byte {len(content)} of"):
-        repair_session(path)
-    assert path.read_bytes() == content + content
+def twice(content):
+    return content + content, f"several MCAP files.*at byte {len(content)} of"
 
 
-def test_a_damaged_file_stays_as_it_is(write_session, sent, tmp_path):
-    path = write_session(*sent.items(), close=False)
-    content = bytearray(path.read_bytes())
-    content[content.index(b"zstd") + 40] ^= 0xFF
+def damaged(content):
+    place = content.index(b"zstd") + 40
+    return content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :], "damaged"
+
+
+@pytest.mark.parametrize(("close", "spoil"), [(True, twice), (False, damaged)])
+def test_what_cannot_be_repaired_stays_as_it_is(write_session, sent, tmp_path, close, spoil):
+    path = write_session(*sent.items(), close=close)
+    content, told = spoil(path.read_bytes())
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match="damaged"):
+    with pytest.raises(RecordingError, match=told):
         repair_session(path)
     assert path.read_bytes() == content
     assert [one.name for one in tmp_path.iterdir()] == ["session.mcap"]
@@ -193,40 +187,37 @@ time.sleep(60)
 """
 
 
+def metadata_of(directory):
+    text = (directory / "metadata.yaml").read_text()
+    return yaml.safe_load(text)["rosbag2_bagfile_information"]
+
+
 def test_the_parts_of_a_killed_recorder_are_mended_but_not_while_it_records(tmp_path):
+    directory = tmp_path / "s"
     command = [sys.executable, "-c", RECORDER, str(tmp_path / "s.mcap")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout.readline() == "written\n"
             with pytest.raises(RecordingError, match="still being recorded"):
-                repair_session(tmp_path / "s")
+                repair_session(directory)
         finally:
             process.send_signal(signal.SIGKILL)
-    done = repair_session(tmp_path / "s")
+    done = repair_session(directory)
     assert [one.dropped for one in done] == [None, None, None, 0]
-    session = open_session(tmp_path / "s")
+    session = open_session(directory)
     assert session.complete
     times = [message.log_time for message in session.messages("/lowcmd")]
     assert times == [i * 5_000_000 for i in range(len(times))]
-    text = (tmp_path / "s" / "metadata.yaml").read_text()
-    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    about = metadata_of(directory)
     assert about["message_count"] == len(times) == sum(one.messages for one in done)
     assert about["duration"]["nanoseconds"] == times[-1]
     assert len(times) > 650
-
-
-def test_a_part_that_cannot_be_read_keeps_no_other_from_its_index(tmp_path):
-    with SessionWriter(tmp_path / "s.mcap", split_ns=1_000_000_000) as writer:
-        for i in range(500):
-            writer.write("/lowcmd", bytes(1008), i * 5_000_000, i * 5_000_000)
-            writer.flush_if_due(i * 5_000_000)
-    first, empty, cut = sorted((tmp_path / "s").glob("*.mcap"))
+    # A part that cannot be read keeps no other from its index.
+    first, empty, cut, last = session.paths
     empty.write_bytes(b"")
     cut.write_bytes(cut.read_bytes()[:-200])
     with pytest.raises(RecordingError, match=empty.name):
-        repair_session(tmp_path / "s")
-    assert McapFile(first).indexed
+        repair_session(directory)
     assert McapFile(cut).indexed
-    text = (tmp_path / "s" / "metadata.yaml").read_text()
-    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert about["message_count"] == McapFile(first).counts.total() + McapFile(cut).counts.total()
+    kept = [McapFile(path).counts.total() for path in (first, cut, last)]
+    assert metadata_of(directory)["message_count"] == sum(kept)

@@ -1,5 +1,3 @@
-"""A session as arrays, against the figures that the samples were made of."""
-
 import re
 
 import numpy as np
@@ -9,7 +7,6 @@ from mcap.writer import Writer
 from g1stream.app.session import open_session
 from g1stream.dds.layout import members
 from g1stream.dds.messages import (
-    ARM_SDK,
     LOWCMD,
     LOWSTATE,
     POLICY,
@@ -18,12 +15,17 @@ from g1stream.dds.messages import (
     SPORTMODESTATE,
 )
 from g1stream.errors import RecordingError
-from g1stream.session.streams import STREAMS, LogEvent
+from g1stream.session.streams import LogEvent
 from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000
 DELAY = 123_456
+IMU = {
+    "imu_quat_wxyz": "quaternion",
+    "gyroscope": "gyroscope",
+    "accelerometer": "accelerometer",
+}
 
 
 @pytest.fixture
@@ -32,86 +34,53 @@ def cdr(golden):
     return {f"/{kind}": [bytes.fromhex(g["cdr"]) for g in golden[kind]] for kind in kinds}
 
 
-def test_measured_is_what_the_official_sdk_serialised(golden, cdr, write_session):
-    measured = open_session(write_session(("/lowstate", cdr["/lowstate"]))).measured
-    states = golden["lowstate"]
+def test_samples_are_what_the_official_sdk_serialised(golden, cdr, write_session):
+    session = open_session(write_session(*cdr.items()))
+    measured, states = session.measured, golden["lowstate"]
     # In the field order of the IDL: mode, q, dq, ddq, tau_est, ...
     motors = np.array([[m[:5] for m in s["motor_state"][:29]] for s in states], dtype=np.float64)
     for i, values in enumerate((measured.q, measured.dq, measured.ddq, measured.tau), start=1):
         assert values.dtype == np.float64
         np.testing.assert_array_equal(values, motors[:, :, i])
-    for name, field in (
-        ("imu_quat_wxyz", "quaternion"),
-        ("gyroscope", "gyroscope"),
-        ("accelerometer", "accelerometer"),
-    ):
+    for name, field in IMU.items():
         expected = [s["imu_state"][field] for s in states]
         np.testing.assert_array_equal(getattr(measured, name), expected)
     assert measured.tick.tolist() == [s["tick"] for s in states]
-
-
-def test_commands_are_what_the_official_sdk_serialised(golden, cdr, write_session):
-    command = open_session(write_session(("/lowcmd", cdr["/lowcmd"]))).command
     motors = np.array([[m[:6] for m in c["motor_cmd"][:29]] for c in golden["lowcmd"]])
     for i, name in enumerate(("mode", "q", "dq", "tau", "kp", "kd")):
-        np.testing.assert_array_equal(getattr(command, name), motors[:, :, i])
-
-
-def test_the_reference_is_what_cyclonedds_serialised(make_sample, write_session):
-    sent = [make_sample(REFERENCE) for _ in range(9)]
-    reference = open_session(write_session(("/reference", [s.serialize() for s in sent]))).reference
-    assert len(reference) == 9
-    for name in members(REFERENCE.message.idl_type):
-        np.testing.assert_array_equal(getattr(reference, name), [getattr(s, name) for s in sent])
+        np.testing.assert_array_equal(getattr(session.command, name), motors[:, :, i])
 
 
 @pytest.mark.parametrize(
     ("source", "attribute", "fields"),
     [
+        (REFERENCE, "reference", {name: name for name in members(REFERENCE.idl_type)}),
         (SPORTMODESTATE, "base", {"position": "position", "velocity": "velocity"}),
-        (
-            SECONDARY_IMU,
-            "torso_imu",
-            {
-                "imu_quat_wxyz": "quaternion",
-                "gyroscope": "gyroscope",
-                "accelerometer": "accelerometer",
-            },
-        ),
+        (SECONDARY_IMU, "torso_imu", IMU),
     ],
 )
-def test_topics_that_not_every_robot_publishes(
+def test_samples_are_what_cyclonedds_serialised(
     cdr, make_sample, on_the_wire, write_session, source, attribute, fields
 ):
     sent = [make_sample(source) for _ in range(3)]
-    topic = source.name.removeprefix("rt")
+    topic = next(topic for topic, of in TOPICS.items() if of == source)
     states = ("/lowstate", cdr["/lowstate"])
     path = write_session(states, (topic, [on_the_wire(s) for s in sent]))
     stream = getattr(open_session(path), attribute)
     for name, field in fields.items():
         np.testing.assert_array_equal(getattr(stream, name), [getattr(s, field) for s in sent])
-    assert getattr(open_session(write_session(states, name="without.mcap")), attribute) is None
 
 
-def test_what_surrounds_the_samples(cdr, write_session):
-    session = open_session(write_session(*cdr.items()))
-    assert session.complete
+@pytest.mark.parametrize("close", [True, False])
+def test_what_surrounds_the_samples_also_of_a_file_that_was_never_closed(cdr, write_session, close):
+    session = open_session(write_session(*cdr.items(), close=close))
+    assert session.complete is close
     assert session.topics == {"/lowcmd": 6, "/lowstate": 6, "/log": 1}
-    assert session.metadata == {"domain": 1, "versions": {"g1stream": "0.1.0"}, "at_end": True}
+    assert session.metadata == {"domain": 1, "versions": {"g1stream": "0.1.0"}, "at_end": close}
     assert session.attachments == {"motion.csv": b"Frame,X\n"}
     assert session.log == [LogEvent(T0, "WARNING", "stream", "late by 3 ms")]
-
-
-def test_a_file_never_closed_is_read_to_its_end(cdr, write_session):
-    whole = open_session(write_session(*cdr.items()))
-    killed = open_session(write_session(*cdr.items(), name="killed.mcap", close=False))
-    assert not killed.complete
-    assert killed.topics == whole.topics
-    assert killed.metadata["at_end"] is False
-    assert killed.attachments == whole.attachments
-    assert killed.log == whole.log
-    np.testing.assert_array_equal(killed.measured.q, whole.measured.q)
-    np.testing.assert_array_equal(killed.command.kp, whole.command.kp)
+    assert session.base is session.torso_imu is None
+    assert list(session.replay_bytes("/lowstate")) == cdr["/lowstate"]
 
 
 def test_a_missing_topic_is_named_with_those_there_are(cdr, write_session):
@@ -156,7 +125,6 @@ def test_an_mcap_without_our_topics(tmp_path, topics):
     ("topic", "ours"), [("/scene", True), ("/scene", False), ("/measured/tf", True)]
 )
 def test_what_is_left_of_a_session_is_named(tmp_path, topic, ours):
-    """Without a sample nothing was recorded; with other topics some were left out since."""
     with SessionWriter(tmp_path / "left.mcap") as writer:
         writer.add_metadata({"started_ns": 1, "domain": 171, "interface": "lo"} if ours else {})
         writer.write(topic, b"", 1, 1)
@@ -167,8 +135,6 @@ def test_what_is_left_of_a_session_is_named(tmp_path, topic, ours):
     assert ("g1stream doctor --domain 171" in caught.value.remedy) is nothing
     assert ("/measured/tf" in caught.value.cause) is (topic != "/scene")
 
-
-# --- bit for bit ---
 
 TOPICS = {
     "/lowcmd": LOWCMD,
@@ -187,32 +153,12 @@ def sent(make_sample, on_the_wire):
     }
 
 
-def test_the_bytes_come_back(sent, write_session):
+def test_the_bytes_come_back_with_their_times(sent, write_session):
     session = open_session(write_session(*sent.items()))
+    times = session.times
+    assert list(times) == sorted([*TOPICS, "/log"])
     for topic, samples in sent.items():
         assert list(session.replay_bytes(topic)) == samples
-    assert list(session.replay_bytes()) == sent["/lowcmd"]
-
-
-def test_every_topic_has_its_times(sent, write_session):
-    times = open_session(write_session(*sent.items())).times
-    assert list(times) == sorted([*TOPICS, "/log"])
-    for topic in TOPICS:
         np.testing.assert_array_equal(times[topic].publish_time, T0 + STEP * np.arange(17))
         np.testing.assert_array_equal(times[topic].log_time, times[topic].publish_time + DELAY)
-
-
-def test_a_stream_is_read_once_and_alone(sent, write_session):
-    path = write_session(*sent.items())
-    session = open_session(path)
-    q = session.measured.q
-    path.unlink()
-    assert session.measured.q is q
-    assert session.measured.dq.shape == (17, 29)
-    with pytest.raises(RecordingError, match="no session file"):
-        _ = session.command.q
-
-
-def test_every_dds_topic_of_a_session_has_a_stream():
-    sources = {topic: kind.source for topic, kind in STREAMS.items()}
-    assert sources == TOPICS | {"/arm_sdk": ARM_SDK}
+    assert list(session.replay_bytes()) == sent["/lowcmd"]

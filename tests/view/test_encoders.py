@@ -1,5 +1,3 @@
-"""The derived channels, decoded by the official classes and followed as a viewer follows them."""
-
 import math
 import struct
 from io import StringIO
@@ -52,26 +50,22 @@ def matrices_in_world(message):
     return found
 
 
-@pytest.fixture(scope="module")
-def urdf(robot):
-    """The robot as yourdfpy, which knows nothing of ours, reads it."""
-    return yourdfpy.URDF.load(StringIO(robot.urdf), load_meshes=False, build_scene_graph=True)
-
-
-@pytest.mark.parametrize("prefix", ["", MEASURED_PREFIX])
-def test_link_poses_match_yourdfpy(robot, urdf, frames, prefix):
+def test_link_poses_match_yourdfpy(robot, frames):
+    urdf = yourdfpy.URDF.load(StringIO(robot.urdf), load_meshes=False, build_scene_graph=True)
     stamps, joint_pos, root_pos, root_quat = frames
-    rows = TransformsEncoder(robot, prefix).encode(stamps, joint_pos, root_pos, root_quat)
+    rows = TransformsEncoder(robot, MEASURED_PREFIX).encode(stamps, joint_pos, root_pos, root_quat)
     for t in range(5):
         urdf.update_cfg(dict(zip(robot.joint_names, joint_pos[t], strict=True)))
         root = np.eye(4)
         root[:3, :3] = Rotation.from_quat(np.roll(root_quat[t], -1)).as_matrix()
         root[:3, 3] = root_pos[t]
         world = matrices_in_world(FrameTransforms.FromString(rows[t].tobytes()))
-        assert sorted(world) == sorted(["world", *(prefix + name for name in urdf.link_map)])
+        assert sorted(world) == sorted(
+            ["world", *(MEASURED_PREFIX + name for name in urdf.link_map)]
+        )
         for name in urdf.link_map:
             expected = root @ urdf.get_transform(name)
-            np.testing.assert_allclose(world[prefix + name], expected, atol=1e-9)
+            np.testing.assert_allclose(world[MEASURED_PREFIX + name], expected, atol=1e-9)
 
 
 def test_transforms_have_the_parents_of_the_urdf_and_their_timestamp(robot, frames):
@@ -99,21 +93,15 @@ def bits(value: float) -> bytes:
     return struct.pack("<d", value)
 
 
-def stamp_of(timestamp) -> int:
-    return timestamp.seconds * 1_000_000_000 + timestamp.nanos
-
-
 @given(stamp=stamps, values=arrays(np.float64, (4, len(JOINTS)), elements=doubles))
 @example(stamp=0, values=np.zeros((4, 3)))
-@example(stamp=1, values=np.full((4, 3), -0.0))
 @example(stamp=2**31 * 1_000_000_000, values=np.full((4, 3), np.nan))
 @example(stamp=2**63 - 1, values=np.full((4, 3), -np.inf))
 @example(stamp=1_700_000_000_999_999_999, values=np.full((4, 3), 5e-324))
-@example(stamp=127_000_000_127, values=np.full((4, 3), 1.7976931348623157e308))
 def test_joint_states_decode_to_the_input(stamp, values):
     rows = JointStatesTemplate(JOINTS, FIELDS).encode([stamp], *values[:, np.newaxis])
     message = JointStates.FromString(rows[0].tobytes())
-    assert stamp_of(message.timestamp) == stamp
+    assert message.timestamp.seconds * 10**9 + message.timestamp.nanos == stamp
     assert [joint.name for joint in message.joints] == JOINTS
     for i, joint in enumerate(message.joints):
         assert all(joint.HasField(field) for field in FIELDS)

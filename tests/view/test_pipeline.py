@@ -1,7 +1,3 @@
-"""Batches of wire samples in, messages of the file out, with no DDS participant."""
-
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -26,7 +22,7 @@ from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
 from g1stream.session.records import PolicyInfo
-from g1stream.view.pipeline import Decimator, MessagePipeline
+from g1stream.view.pipeline import Decimator, MessagePipeline, Track, TrackingError
 
 T0 = 1_700_000_000_000_000_000
 
@@ -81,10 +77,19 @@ TIMES = [T0 + 2_000_000 * i for i in range(50)]
 JOINT_STATES = {f"/{name}/joint_states" for name in ("reference", "measured", "tracking_error")}
 
 
+def transforms(messages, i):
+    """By child frame."""
+    made = FrameTransforms.FromString(bytes(messages.payloads[i])).transforms
+    return {one.child_frame_id: one for one in made}
+
+
+def joint_states(messages, i):
+    return JointStates.FromString(bytes(messages.payloads[i])).joints
+
+
 def test_batches_become_what_viewers_show():
     pipeline = make_pipeline("full")
-    times, batches = TIMES, batches_of(TIMES)
-    made = {messages.topic: messages for messages in pipeline.encode(batches)}
+    made = {messages.topic: messages for messages in pipeline.encode(batches_of(TIMES))}
     assert {topic: len(messages.payloads) for topic, messages in made.items()} == {
         "/reference/joint_states": 50,
         "/measured/joint_states": 50,
@@ -99,49 +104,43 @@ def test_batches_become_what_viewers_show():
     }
     for messages in made.values():
         assert set(messages.log_times - messages.publish_times) == {50_000}
-    error = JointStates.FromString(bytes(made["/tracking_error/joint_states"].payloads[7]))
-    assert [joint.position for joint in error.joints] == [0.25] * 29
-    assert {joint.velocity for joint in error.joints} == {0.25}
-    measured = JointStates.FromString(bytes(made["/measured/joint_states"].payloads[7]))
-    assert {(joint.position, joint.effort) for joint in measured.joints} == {(0.25, 3.0)}
-    assert tuple(joint.name for joint in measured.joints) == G1.default().joint_names
-    transforms = FrameTransforms.FromString(bytes(made["/measured/tf"].payloads[1])).transforms
-    assert transforms[0].timestamp.ToNanoseconds() == times[5]
-    assert transforms[0].child_frame_id == "measured/pelvis"
-    ghost = FrameTransforms.FromString(bytes(made["/ghost/tf"].payloads[1])).transforms
-    root, knee = ghost[0], next(t for t in ghost if t.child_frame_id == "ghost/left_knee_link")
-    assert (root.parent_frame_id, root.child_frame_id) == ("measured/pelvis", "ghost/pelvis")
+    error = joint_states(made["/tracking_error/joint_states"], 7)
+    assert [(joint.position, joint.velocity) for joint in error] == [(0.25, 0.25)] * 29
+    measured = joint_states(made["/measured/joint_states"], 7)
+    assert {(joint.position, joint.effort) for joint in measured} == {(0.25, 3.0)}
+    assert tuple(joint.name for joint in measured) == G1.default().joint_names
+    limbs = joint_states(made["/tracking_error/limbs"], 3)
+    assert {joint.name: joint.position for joint in limbs} == dict.fromkeys(JOINT_GROUPS, 0.25)
+    pelvis = transforms(made["/measured/tf"], 1)["measured/pelvis"]
+    assert pelvis.timestamp.ToNanoseconds() == TIMES[5]
+    ghost = transforms(made["/ghost/tf"], 1)
+    root = ghost["ghost/pelvis"]
+    assert root.parent_frame_id == "measured/pelvis"
     assert (root.rotation.w, root.translation.x, root.translation.z) == (1.0, 0.0, 0.0)
-    reference = FrameTransforms.FromString(bytes(made["/tf"].payloads[1])).transforms
-    same = next(t for t in reference if t.child_frame_id == "left_knee_link")
-    assert knee.rotation == same.rotation
-    limbs = JointStates.FromString(bytes(made["/tracking_error/limbs"].payloads[3]))
-    assert {joint.name: joint.position for joint in limbs.joints} == dict.fromkeys(
-        JOINT_GROUPS, 0.25
-    )
+    same = transforms(made["/tf"], 1)["left_knee_link"]
+    assert ghost["ghost/left_knee_link"].rotation == same.rotation
     assert pipeline.encode({}) == []
 
 
 def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
-    made = {
-        name: {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
+    standard, full = (
+        {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
         for name in ("standard", "full")
-    }
-    assert made["standard"].keys() == made["full"].keys() > JOINT_STATES
-    for topic, full in made["full"].items():
-        standard = made["standard"][topic]
+    )
+    assert standard.keys() == full.keys() > JOINT_STATES
+    for topic, whole in full.items():
         kept = slice(None, None, 5) if topic in JOINT_STATES else slice(None)
-        assert standard.publish_times.tolist() == full.publish_times[kept].tolist()
-        assert standard.log_times.tolist() == full.log_times[kept].tolist()
-        assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
+        thinned = standard[topic]
+        assert thinned.publish_times.tolist() == whole.publish_times[kept].tolist()
+        assert thinned.log_times.tolist() == whole.log_times[kept].tolist()
+        assert list(map(bytes, thinned.payloads)) == list(map(bytes, whole.payloads))[kept]
 
 
 def test_an_imu_that_sends_zeros_leaves_no_invalid_transform():
-    pipeline, batches = make_pipeline("standard"), batches_of(TIMES)
-    batches[LOWSTATE.name] = batch(LowState(), TIMES, quaternion=0.0)
-    made = {messages.topic: messages for messages in pipeline.encode(batches)}
-    for data in made["/measured/tf"].payloads:
-        for one in FrameTransforms.FromString(bytes(data)).transforms:
+    batches = batches_of(TIMES) | {LOWSTATE.name: batch(LowState(), TIMES, quaternion=0.0)}
+    made = {messages.topic: messages for messages in make_pipeline("standard").encode(batches)}
+    for i in range(10):
+        for one in transforms(made["/measured/tf"], i).values():
             q = one.rotation
             assert np.linalg.norm([q.w, q.x, q.y, q.z]) == pytest.approx(1.0)
 
@@ -181,10 +180,89 @@ def test_timing_has_the_longest_interval_and_latency_of_each_span():
     ]
 
 
-@pytest.mark.parametrize(("rate", "kept"), [(500, 100), (1000, 100), (100, 100), (30, 30)])
+@pytest.mark.parametrize(("rate", "kept"), [(1000, 100), (100, 100), (30, 30)])
 def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
     stamps = T0 + np.arange(rate) * (1_000_000_000 // rate)
     decimator = Decimator(100)
     picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
     assert len(picked) == kept
     assert set(np.diff(picked)) == {1_000_000_000 // kept}
+
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+SLOPE = np.linspace(-2.0, 2.0, 29)
+
+
+def ramp(times_ms, offset=0.0, delay_ms=0.1):
+    """q rises by SLOPE each second; logged a little later."""
+    stamps = T0 + np.round(np.asarray(times_ms) * MS).astype(np.int64)
+    seconds = (stamps - T0)[:, np.newaxis] / 1e9
+    logged = stamps + round(delay_ms * MS)
+    return Track(stamps, logged, seconds * SLOPE + offset, np.tile(SLOPE, (len(stamps), 1)))
+
+
+def errors_of(references, *states):
+    """The errors of states, the first of which come before the references."""
+    error = TrackingError(29)
+    first, *others = states
+    error.add_states(first)
+    error.add_references(references)
+    for later in others:
+        error.add_states(later)
+    return error.take()
+
+
+def published_ms(errors):
+    return ((errors.publish_times - T0) / MS).tolist()
+
+
+def test_the_reference_is_interpolated_at_the_time_of_the_state():
+    errors = errors_of(ramp(np.arange(0, 100, 2)), ramp(np.arange(10, 60, 3.3), offset=0.25))
+    assert len(errors.publish_times) == len(np.arange(10, 60, 3.3))
+    np.testing.assert_allclose(errors.q, -0.25, atol=1e-12)
+    np.testing.assert_allclose(errors.dq, 0.0, atol=1e-12)
+
+
+def test_log_time_is_that_of_the_last_sample_used():
+    errors = errors_of(ramp([0, 10], delay_ms=5), ramp([5, 10], delay_ms=1))
+    assert published_ms(errors) == [5, 10]
+    assert ((errors.log_times - T0) / MS).tolist() == [15, 15]
+
+
+def test_errors_do_not_depend_on_how_batches_are_cut():
+    references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 1), offset=0.1)
+    expected = errors_of(references, states).q
+    cut, made = TrackingError(29), []
+    for start in range(0, 400, 37):
+        cut.add_states(states.where(slice(start, start + 37)))
+        cut.add_references(references.where(slice(start // 2, (start + 37) // 2)))
+        made.append(cut.take().q)
+    cut.add_references(references.where(slice((start + 37) // 2, None)))
+    made.append(cut.take().q)
+    np.testing.assert_array_equal(np.concatenate(made), expected)
+
+
+def test_states_before_the_first_reference_and_in_its_gaps_have_no_error():
+    assert published_ms(errors_of(ramp([10, 20]), ramp([0, 5]), ramp([15]))) == [15]
+    assert published_ms(errors_of(ramp([0, 10, 500, 510]), ramp([5, 250, 505]))) == [5, 505]
+
+
+def test_waiting_samples_are_dropped_after_a_second():
+    waiting, alone = TrackingError(29), TrackingError(29)
+    for start in range(0, 5000, 1000):
+        waiting.add_states(ramp(np.arange(start, start + 1000)))
+        alone.add_references(ramp(np.arange(start, start + 1000)))
+        assert len(waiting.take().q) == len(alone.take().q) == 0
+    assert len(waiting._states.q) <= 1001
+    assert len(alone._references.q) <= 1001
+
+
+def test_a_state_that_comes_a_batch_late_finds_its_reference():
+    error, published = TrackingError(29), []
+    references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 2))
+    for start in range(0, 250, 25):
+        error.add_references(references.where(slice(start, start + 25)))
+        error.add_states(states.where(slice(max(0, start - 25), start)))
+        published += error.take().publish_times.tolist()
+    assert published == states.publish_times.tolist()

@@ -1,5 +1,0 @@
-"""Sessions whose error is known, as fixtures."""
-
-from known_sessions import change, motion, play, take, write_session
-
-__all__ = ["change", "motion", "play", "take", "write_session"]

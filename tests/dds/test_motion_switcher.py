@@ -2,6 +2,7 @@ import dataclasses
 import json
 import threading
 from contextlib import contextmanager
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -17,6 +18,41 @@ from g1stream.dds.motion_switcher import (
     response_to,
 )
 from g1stream.errors import WireError
+
+IDL_NAMES = {
+    str: "string",
+    bool: "boolean",
+    "int32": "long",
+    "int64": "long long",
+    "byte": "octet",
+    "uint8": "octet",  # on cyclonedds 0.10
+}
+
+
+def idl_name(hint):
+    mark = hint if hint in IDL_NAMES else (get_args(hint)[1:] or (hint,))[0]
+    if hasattr(mark, "subtype"):
+        return f"sequence<{idl_name(mark.subtype)}>"
+    return IDL_NAMES.get(mark) or mark.__idl_typename__.rpartition(".")[2]
+
+
+def structs(idl_type):
+    """A type and those in it, by name, with the IDL name of each field's type."""
+    hints = get_type_hints(idl_type, include_extras=True)
+    found = {idl_type.__idl_typename__: {name: idl_name(hint) for name, hint in hints.items()}}
+    for hint in hints.values():
+        if hasattr(hint, "__idl_typename__"):
+            found |= structs(hint)
+    return found
+
+
+def test_types_are_those_of_the_idl(declared):
+    expected = {
+        name: {field: element for field, (element, _) in struct.fields.items()}
+        for name, struct in declared.items()
+        if name.startswith("unitree_api.")
+    }
+    assert structs(Request_) | structs(Response_) == expected
 
 
 @pytest.mark.parametrize(

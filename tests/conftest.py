@@ -26,7 +26,7 @@ from hypothesis import HealthCheck, settings
 from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.layout import members
-from g1stream.dds.messages import LOWCMD, LowCmd, Topic
+from g1stream.dds.messages import LOWCMD, LowCmd
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -180,10 +180,10 @@ class Received(NamedTuple):
 
 
 @contextmanager
-def _tap(domain_id: int, topic: Topic = LOWCMD) -> Iterator[list[Received]]:
+def _tap(domain_id: int) -> Iterator[list[Received]]:
     stop, received = threading.Event(), []
     with Participant(domain_id, "lo") as participant:
-        reader = RawReader(participant, topic, depth=5000, user_data=OBSERVER)
+        reader = RawReader(participant, LOWCMD, depth=5000, user_data=OBSERVER)
 
         def take() -> None:
             while not stop.wait(0.01):
@@ -205,7 +205,7 @@ def _tap(domain_id: int, topic: Topic = LOWCMD) -> Iterator[list[Received]]:
 
 @pytest.fixture(scope="session")
 def tap() -> Callable[..., AbstractContextManager[list[Received]]]:
-    """All commands on rt/lowcmd, or another topic, of a domain, while they arrive."""
+    """All commands on rt/lowcmd of a domain, while they arrive."""
     return _tap
 
 

@@ -231,3 +231,9 @@ def test_robot_toml_is_more_careful_than_the_defaults():
     assert robot.safety.max_joint_speed < default.safety.max_joint_speed
     assert robot.safety.mode_machine == (5,)
     assert not robot.safety.allow_second_writer
+    for safety in (default.safety, robot.safety):
+        assert safety.stop_buttons == ("L2+B", "select")
+        assert 0.0 < safety.max_casing_temperature <= 85.0
+        assert 0.0 < safety.max_winding_temperature <= 120.0
+        assert safety.min_voltage >= 40.0
+        assert safety.motor_fault_mask == 0xFFFFFFFF

@@ -148,6 +148,13 @@ def test_a_mode_that_does_not_fit_is_refused_before_anybody_is_asked(
     assert f"--domain {config.dds.domain}" in caught.value.remedy
 
 
+def test_arms_need_an_active_mode_on_loopback_too(bridge, config):
+    config = load_config(over=config.model_dump() | {"stream.via": "arm_sdk"})
+    with bridge(None), pytest.raises(SafetyError, match="active") as caught:
+        stream("demo", config)
+    assert "g1stream robot restore" in caught.value.remedy
+
+
 def test_without_a_robot_there_is_nothing_to_arm(config, monkeypatch):
     monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
     with pytest.raises(WireError):

@@ -16,7 +16,7 @@ from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowS
 from g1stream.errors import ConfigError, WireError
 from g1stream.recorder import recorder
 from g1stream.robot.model import G1
-from g1stream.session.records import MotionInfo, SessionInfo
+from g1stream.session.records import MotionInfo, RecorderSummary, SessionInfo
 from g1stream.session.writer import SessionWriter
 
 SESSION = SessionInfo(motion=MotionInfo(name="walk"))
@@ -34,6 +34,14 @@ def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
         program.record(tmp_path / "s.mcap", config, session=SESSION, on_ready=ready.set)
     assert not ready.is_set()
     assert not (tmp_path / "s.mcap").exists()
+
+
+def test_why_it_was_stopped_is_in_the_file(tmp_path):
+    path = tmp_path / "s.mcap"
+    with SessionWriter(path) as writer:
+        writer.write("/lowstate", LowState().seal(), 2, 1)
+        program._close(writer, RecorderSummary(), {"stopped": "SIGTERM"})
+    assert open_session(path).summary().recorder.stopped == "SIGTERM"
 
 
 @pytest.mark.parametrize(("split", "before"), [(None, False), (60.0, True)])

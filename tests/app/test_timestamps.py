@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 from g1stream.app.convert import frame_timestamps, parse_time
 from g1stream.errors import ConfigError
 
-T0 = 1_700_000_000_000_000_000
-
 
 @given(
     st.integers(0, 10**18),

@@ -11,6 +11,7 @@ import pytest
 
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.cli.command import (
+    _HANDLED,
     confirmed,
     exit_code,
     exit_code_of_signal,
@@ -64,6 +65,12 @@ def test_every_signal_that_ends_a_process_is_a_reason_with_its_exit_code(number)
         os.kill(os.getpid(), number)
     assert [exit_code_of_signal(reason) for reason in reasons] == [128 + number]
     assert signal.getsignal(number) == before
+
+
+def test_all_signals_but_these_are_handled():
+    names = "KILL STOP CHLD CONT URG WINCH PIPE XFSZ SEGV BUS FPE ILL TRAP SYS"
+    others = {signal.Signals[f"SIG{name}"] for name in names.split()}
+    assert set(_HANDLED) == signal.valid_signals() - others
 
 
 @pytest.mark.parametrize("number", [signal.SIGPIPE, signal.SIGSEGV, signal.SIGCHLD])

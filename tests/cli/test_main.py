@@ -1,7 +1,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -9,8 +8,6 @@ from cli_help import check_help
 from g1stream.cli.main import COMMANDS
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
-
-DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 
 
 @pytest.mark.parametrize(

@@ -116,3 +116,8 @@ def test_a_flag_of_an_earlier_version_leads_to_the_new_ones():
 def test_the_report_is_about_the_changed_motion(run):
     done = run("motion", "demo", "--start", "1", "--duration", "2", "--mirror", "--json")
     assert json.loads(done.out)["n_frames"] == 61
+
+
+def test_a_replay_at_no_speed_is_refused(capsys):
+    assert main(["replay", "session.mcap", "--speed", "0"]) == 2
+    assert "--speed" in capsys.readouterr().err

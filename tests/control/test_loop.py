@@ -60,6 +60,12 @@ def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, 
     np.testing.assert_allclose(found.max_abs_at, 0.002 * np.abs(error).argmax(axis=0))
 
 
+def test_commands_have_the_mode_machine_of_the_robot(make_loop, link):
+    link.robot.mode_machine[()] = 0
+    make_loop().run()
+    assert {int(sent.command.mode_machine) for sent in link.sent} == {0}
+
+
 def test_the_part_that_is_played(make_loop, trajectory, timing):
     targets = Targets(trajectory, start=0.1)
     assert make_loop(targets=targets).part == (0.1, 0.6)

@@ -7,14 +7,12 @@ from g1stream.config import load_config
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
-from known_robots import compile_mujoco, random_frames, reference_urdf, robot
+from known_robots import reference_urdf, robot
 from known_sessions import change, play, take, write_session
 
 __all__ = [
     "change",
-    "compile_mujoco",
     "play",
-    "random_frames",
     "reference_urdf",
     "robot",
     "take",

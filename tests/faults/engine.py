@@ -226,11 +226,13 @@ class Session:
         return self.alive()
 
     def wait_for(self, processes: Sequence[int]) -> None:
-        """Until these have ended as well; what has not after a while is killed."""
+        """Until these have ended as well; what has not after a while is wrong, and killed."""
         end = time.monotonic() + PATIENCE / 5
         for pid in processes:
             while _runs(pid) and time.monotonic() < end:
                 time.sleep(0.05)
+            if _runs(pid):
+                self.wrong.append(f"process {pid} goes on")
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 

@@ -6,7 +6,7 @@
 command stays in force, as on the robot. With "arm_sdk" its own controller holds the joints at 0,
 and blends what comes on rt/arm_sdk into its command for arms and waist. rt/lowstate tells of them
 at 250 Hz. Each fault acts from `at` to `until`, s after the first stiff command; negative: from the
-beginning. A fault sets fields of LowState ("set": {"motor.q.3": NaN}, `*` for all 29) or does one
+beginning. A fault sets fields of LowState ("set": {"motor.q.3": NaN}) or does one
 of `Robot.DO`; with "every": n, only in each n-th state.
 
 It prints `ready` and `commanded`, and writes `out` when its standard input ends. After SIGUSR1 it
@@ -217,10 +217,7 @@ def _set(state: Any, path: str, value: Any) -> None:
     place = state
     for name in names:
         place = place[int(name)] if name.isdigit() else place[name]
-    if last == "*":
-        place[:29] = value
-    else:
-        place[int(last) if last.isdigit() else last] = value
+    place[int(last) if last.isdigit() else last] = value
 
 
 def main() -> None:

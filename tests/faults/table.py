@@ -73,7 +73,7 @@ def buttons(*bits: int) -> dict[str, Any]:
     return {"remote.0": 0x55, "remote.1": 0x51, "remote.2": word & 255, "remote.3": word >> 8}
 
 
-SELECT, L2, A, B = 3, 5, 8, 9
+L2, A, B = 5, 8, 9
 
 STATES: Final = [
     Fault(
@@ -319,6 +319,14 @@ ARMS: Final = [
     ),
     _arms("SIGINT", act=send(signal.SIGINT), code=130, reason="SIGINT", record="complete"),
     _arms("Ctrl-C twice in PLAY", act=twice, at=2.5, code=130, reason="SIGINT"),
+    _arms(
+        "SIGSTOP and continued after 1 s",
+        act=stop(1.0),
+        at=2.5,
+        reason="was stopped",
+        handover_ms=HANDOVER,
+        alone=True,
+    ),
     *(
         _arms(
             name,

@@ -189,7 +189,6 @@ def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
     assert set(np.diff(picked)) == {1_000_000_000 // kept}
 
 
-T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 SLOPE = np.linspace(-2.0, 2.0, 29)
 

@@ -323,7 +323,7 @@ ARMS: Final = [
         "SIGSTOP and continued after 1 s",
         act=stop(1.0),
         at=2.5,
-        reason="was stopped",
+        reason="hands arms and waist back: this process was stopped",
         handover_ms=HANDOVER,
         alone=True,
     ),

@@ -69,7 +69,7 @@ class Link(Protocol):
         """Why the first command has to wait for the guard process or for LowStates, or ""."""
 
     def replaced(self) -> str:
-        """Why the guard process damps the robot instead of this process, or ""."""
+        """Why the guard process commands the robot instead of this process, or ""."""
 
 
 class DdsLink:
@@ -208,7 +208,8 @@ class DdsLink:
 
     def replaced(self) -> str:
         why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
-        return f"the guard process damps the robot: this process {why}" if why else ""
+        does = "hands arms and waist back" if self._topic is ARM_SDK else "damps the robot"
+        return f"the guard process {does}: this process {why}" if why else ""
 
     def counts(self) -> dict[str, int | None]:
         """Counters of received and lost messages, by their field names in `StreamSummary`."""

@@ -25,7 +25,7 @@ from g1stream.app.session import open_session
 from g1stream.extras.policy.source import TILTED
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.rotations import quat_rotate_inverse
+from g1stream.robot.rotations import quat_conj, quat_mul, tilt_of
 
 if TYPE_CHECKING:
     from g1stream.analysis.body import RobotFrames
@@ -64,9 +64,8 @@ def row(path: Path) -> str:
     apart = np.linalg.norm(
         capture_points(session.robot, asked) - capture_points(session.robot, done), axis=1
     )
-    up = np.broadcast_to([0.0, 0.0, 1.0], (len(time), 3))
-    ups = (quat_rotate_inverse(one.root_quat_wxyz, up) for one in (asked, done))
-    tilt = np.arccos(np.clip(np.prod([*ups], axis=0).sum(axis=1), -1.0, 1.0))
+    turns = quat_mul(done.root_quat_wxyz, quat_conj(asked.root_quat_wxyz))
+    tilt = np.array([tilt_of(turn) for turn in turns])
     low = asked.root_pos[:, 2] - done.root_pos[:, 2]
 
     def first(when: np.ndarray) -> str:

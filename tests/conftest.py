@@ -27,6 +27,7 @@ from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.layout import members
 from g1stream.dds.messages import LOWCMD, LowCmd
+from threads import in_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -181,11 +182,11 @@ class Received(NamedTuple):
 
 @contextmanager
 def _tap(domain_id: int) -> Iterator[list[Received]]:
-    stop, received = threading.Event(), []
+    received: list[Received] = []
     with Participant(domain_id, "lo") as participant:
         reader = RawReader(participant, LOWCMD, depth=5000, user_data=OBSERVER)
 
-        def take() -> None:
+        def take(stop: threading.Event) -> None:
             while not stop.wait(0.01):
                 for sample in reader.take(5000):
                     command = LowCmd()
@@ -193,13 +194,8 @@ def _tap(domain_id: int) -> Iterator[list[Received]]:
                     writer = sample.sample_info.publication_handle
                     received.append(Received(sample.publish_time, writer, command))
 
-        thread = threading.Thread(target=take)
-        thread.start()
-        try:
+        with in_thread(take):
             yield received
-        finally:
-            stop.set()
-            thread.join()
     assert all(one.command.crc_matches() for one in received)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from g1stream.app.sim import simulate
 from g1stream.config import Config
+from threads import in_thread
 
 
 @pytest.fixture
@@ -17,19 +18,14 @@ def beside():
 
     @contextmanager
     def run(program, *arguments, **options):
-        stop, own = threading.Event(), SimpleNamespace(ready=threading.Event())
-        options |= {"should_stop": stop.is_set, "on_ready": own.ready.set}
+        own = SimpleNamespace(ready=threading.Event())
 
-        def target():
-            own.result = program(*arguments, **options)
+        def work(stop):
+            given = {"should_stop": stop.is_set, "on_ready": own.ready.set}
+            own.result = program(*arguments, **options, **given)
 
-        thread = threading.Thread(target=target)
-        thread.start()
-        try:
+        with in_thread(work):
             yield own
-        finally:
-            stop.set()
-            thread.join()
 
     return run
 

@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import threading
 from contextlib import contextmanager
 from typing import get_args, get_type_hints
 
@@ -18,6 +17,7 @@ from g1stream.dds.motion_switcher import (
     response_to,
 )
 from g1stream.errors import WireError
+from threads import in_thread
 
 IDL_NAMES = {
     str: "string",
@@ -75,13 +75,12 @@ def service(domain_id, answer):
 
     Before each answer it gives one to somebody else's request.
     """
-    done = threading.Event()
     calls = []
     with Participant(domain_id, "lo") as participant:
         endpoint = ApiEndpoint(participant, serves=True)
 
-        def serve():
-            while not done.wait(0.002):
+        def serve(stop):
+            while not stop.wait(0.002):
                 for request in endpoint.take():
                     identity = request.header.identity
                     calls.append((identity.api_id, json.loads(request.parameter)))
@@ -92,13 +91,8 @@ def service(domain_id, answer):
                         endpoint.write(other)
                         endpoint.write(response_to(request, *given))
 
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
+        with in_thread(serve):
             yield calls
-        finally:
-            done.set()
-            thread.join()
 
 
 def status(name="ai", form="0"):

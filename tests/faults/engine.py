@@ -233,8 +233,8 @@ class Session:
                 time.sleep(0.05)
             if _runs(pid):
                 self.wrong.append(f"process {pid} goes on")
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
 
     def wait(self) -> int:
         """Until the command ends; killed after a while."""

@@ -22,6 +22,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowCmd, LowState
 from g1stream.types import Phase
+from threads import in_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -177,9 +178,8 @@ def test_a_recorder_is_nobody_to_play_to(domain_id, tmp_path):
     """A LowState comes, but who reads LowCmd only records it: nothing may be sent into the void."""
     config = tmp_path / "short.toml"
     config.write_text("[stream]\nwait = 2.0\n")
-    stop = threading.Event()
 
-    def publish() -> None:
+    def publish(stop: threading.Event) -> None:
         state = LowState()
         state.quaternion[0] = 1.0
         with Participant(domain_id, "lo") as participant:
@@ -187,14 +187,9 @@ def test_a_recorder_is_nobody_to_play_to(domain_id, tmp_path):
             while not stop.wait(0.002):
                 writer.write(state.seal())
 
-    publisher = threading.Thread(target=publish)
-    publisher.start()
-    try:
+    with in_thread(publish):
         where = ["--domain", domain_id, "--record", tmp_path / "void.mcap"]
         done = run(["stream", "demo", "--config", config, *where])
-    finally:
-        stop.set()
-        publisher.join()
     assert done.returncode == 1
     assert "no subscriber on rt/lowcmd" in done.stdout
     assert "/lowcmd" not in times(tmp_path / "void.mcap")

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -28,6 +27,7 @@ from g1stream.dds.messages import (
 from g1stream.dds.motion_switcher import ApiId
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.sim.onboard import MotionService
+from threads import in_thread
 
 TOPICS = {
     "lowcmd": LOWCMD,
@@ -118,17 +118,14 @@ def test_discovery_shows_the_sdks_process(name, sdk_on, domain_id, until):
 
 
 def test_sdk_calls_our_motion_service(sdk_on, domain_id):
-    stop = threading.Event()
     with Participant(domain_id, "lo") as participant:
         service = MotionService(participant, "ai")
 
-        def serve():
+        def serve(stop):
             while not stop.wait(0.002):
                 service.step(LowState().seal(), time.time_ns())
 
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
+        with in_thread(serve):
             peer = sdk_on("motion-switcher")
             answers = []
             for call in (
@@ -142,9 +139,6 @@ def test_sdk_calls_our_motion_service(sdk_on, domain_id):
             ):
                 peer.tell(call)
                 answers.append(peer.next_report())
-        finally:
-            stop.set()
-            thread.join()
     assert [(one["code"], one["data"] and json.loads(one["data"])) for one in answers] == [
         (0, {"form": "0", "name": "ai"}),
         (0, ""),

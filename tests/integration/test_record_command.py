@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import threading
 import time
 from contextlib import contextmanager
 
@@ -17,6 +16,7 @@ from g1stream.app.session import open_session
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowState
+from threads import in_thread
 
 
 @contextmanager
@@ -25,11 +25,11 @@ def robot(domain_id, rate=500):
 
     The first ones may be lost: a reader that this writer sees may not see the writer yet.
     """
-    stop, sent = threading.Event(), []
+    sent = []
     with Participant(domain_id, "lo") as participant:
         writer, state = RawWriter(participant, LOWSTATE, 100), LowState()
 
-        def publish():
+        def publish(stop):
             while not stop.is_set():
                 if writer.matched:
                     state.tick[()] = len(sent)
@@ -37,13 +37,8 @@ def robot(domain_id, rate=500):
                     writer.write(sent[-1])
                 time.sleep(1 / rate)
 
-        thread = threading.Thread(target=publish)
-        thread.start()
-        try:
+        with in_thread(publish):
             yield sent
-        finally:
-            stop.set()
-            thread.join()
 
 
 def lowstates(path):

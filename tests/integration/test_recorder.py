@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from contextlib import contextmanager
 from typing import get_args
@@ -24,6 +23,7 @@ from g1stream.session.records import MeasuredTf
 from g1stream.session.writer import SessionWriter
 from g1stream.types import ChannelSet
 from g1stream.view.pipeline import MessagePipeline
+from threads import in_thread
 
 S = 1_000_000_000
 
@@ -66,7 +66,6 @@ class Publisher:
 @contextmanager
 def recording(domain_id, path, channels="standard", **options):
     """A recorder in a thread of its own; it has stopped when this is left."""
-    stop = threading.Event()
     with (
         Receiver(Config(dds={"domain": domain_id})) as receiver,
         Participant(domain_id, "lo") as participant,
@@ -74,13 +73,8 @@ def recording(domain_id, path, channels="standard", **options):
     ):
         pipeline = MessagePipeline(G1.load(), RecordConfig(channels=channels))
         recorder = Recorder(receiver, participant, writer, pipeline, 0.1, **options)
-        thread = threading.Thread(target=recorder.run, args=(stop.is_set,))
-        thread.start()
-        try:
+        with in_thread(lambda stop: recorder.run(stop.is_set)):
             yield recorder
-        finally:
-            stop.set()
-            thread.join()
 
 
 @pytest.fixture

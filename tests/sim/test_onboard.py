@@ -1,4 +1,3 @@
-import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,22 +16,17 @@ from g1stream.sim.bridge import Bridge
 from g1stream.sim.onboard import MotionService
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
+from threads import in_thread
 
 
 @contextmanager
 def simulating(domain_id, onboard=None):
     """A bridge that runs in a thread; yields what it reports in the end."""
-    done = threading.Event()
     robot = SimulatedRobot(World(G1.default()), SimConfig())
     with Participant(domain_id, "lo") as participant:
         bridge = Bridge(participant, robot, "bolted", SystemClock(), onboard=onboard)
-        thread = threading.Thread(target=bridge.run, args=(done.is_set,))
-        thread.start()
-        try:
+        with in_thread(lambda stop: bridge.run(stop.is_set)):
             yield robot.report
-        finally:
-            done.set()
-            thread.join()
 
 
 def test_no_mode_is_active_unless_asked_for(domain_id):

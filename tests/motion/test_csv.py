@@ -72,7 +72,8 @@ def test_foxglove_layout(load, tmp_path):
         load(content, fps=0.0)
     assert motion.source == tmp_path / "clip.csv"
     assert motion.sha256 == hashlib.sha256(content.encode()).hexdigest()
-    assert motion.warnings == ()
+    assert motion.warnings == ("clip.csv: frame rate: 30 fps, assumed.",)
+    assert load(content, fps=30).warnings == ()
     np.testing.assert_array_equal(motion.root_pos, values[:, 1:4])
     np.testing.assert_array_equal(motion.joint_pos, values[:, 8:])
     evidence = find_motion(motion.source).open().evidence
@@ -161,7 +162,7 @@ def test_frames_may_be_numbered_from_anywhere_or_not_at_all(load):
 
 def test_columns_that_are_not_used_are_named(load):
     rows = [[*row, 1, 2] for row in rows_of(3)]
-    (warning,) = load(csv(rows, (*COLUMNS, "mood", "foot_contact"))).warnings
+    (warning,) = load(csv(rows, (*COLUMNS, "mood", "foot_contact")), fps=30).warnings
     assert "mood" in warning
     assert "contact" not in warning  # as many files have
     motion = load(csv([row[8:] for row in rows_of(3)], JOINT_NAMES))
@@ -174,7 +175,7 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
     rows[0][4:8] = [value * 1.0009 for value in rows[0][4:8]]
     rows[1][4:8] = [value * 1.01 for value in rows[1][4:8]]
     rows[2][4:8] = [value * scale for value in rows[2][4:8]]
-    motion = load(csv(rows))
+    motion = load(csv(rows), fps=30)
     (warning,) = motion.warnings
     for words in ("clip.csv", "2 of 4 quaternions", "frame 2, line 4", f"{scale:g}"):
         assert words in warning

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from g1stream.cli.command import Command
 from g1stream.cli.flags import flag
@@ -69,26 +69,16 @@ class MotionFlags(Command):
     def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
         """Read one or more motions, and join them, for a robot.
 
-        The warnings of the motion also name what was assumed.
-
         Raises:
             ConfigError: a flag does not fit.
             MotionError: a file is no motion, or the requested change is not possible.
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
-        return self.join([self._read(one, robot) for one in motions], robot)
+        from g1stream.motion.readers import load_motion
 
-    def _read(self, path: str, robot: G1 | None) -> Motion:
-        file = self.find(path, robot)
-        reader = file.open()
-        evidence, motion = reader.evidence, reader.motion()
-        notes = (
-            f"{file.path.name}: {subject}: {text}."
-            for subject, text in evidence.assumptions.items()
-            if not any(evidence.assumed[subject] in told for told in motion.warnings)
-        )
-        return replace(motion, warnings=(*motion.warnings, *notes))
+        how: dict[str, Any] = {"fps": self.fps, "joint_order": self.joint_order, "robot": robot}
+        return self.join([load_motion(one, **how) for one in motions], robot)
 
     def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
         """A motion file, with the flags that say how to read it."""

@@ -15,6 +15,7 @@ from g1stream.cli.command import (
     announce_wire,
     confirmed,
     exit_code,
+    exit_code_of_signal,
     on_signals,
     print_lines,
     print_summary,
@@ -86,13 +87,15 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
     """Print events, and yield a function that prepares a loop. Call it before the loop runs.
 
     It announces the DDS domain, lets signals stop the loop and displays its progress. A signal that
-    comes before there is a loop stops the loop in WAIT. The signal handlers stay until the
-    recording is complete.
+    comes before there is a loop stops the loop in WAIT, and a second one ends the process, because
+    nothing has been sent yet. The signal handlers stay until the recording is complete.
     """
     loops: list[StreamLoop] = []
     early: list[str] = []
 
     def stop(reason: str) -> None:
+        if early and not loops:  # a policy's rehearsal takes seconds
+            raise SystemExit(exit_code_of_signal(reason))
         early.append(reason)
         for loop in loops:
             loop.request_stop(reason, logging.INFO)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -278,7 +278,7 @@ def load_motion(
 
     Returns:
         The motion, with its joints in motor order and unit quaternions. `Motion.warnings` lists
-        what was not used, filled in or corrected.
+        what was assumed, not used, filled in or corrected.
 
     Raises:
         MotionError: there is no such file, its content is wrong, or the joint order is ambiguous.
@@ -286,4 +286,11 @@ def load_motion(
         ConfigError: the extra that reads it is not installed.
     """
     file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
-    return file.open().motion()
+    reader = file.open()
+    evidence, motion = reader.evidence, reader.motion()
+    assumed = (
+        f"{file.path.name}: {subject}: {text}."
+        for subject, text in evidence.assumptions.items()
+        if not any(evidence.assumed[subject] in told for told in motion.warnings)
+    )
+    return replace(motion, warnings=(*motion.warnings, *assumed))

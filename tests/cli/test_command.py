@@ -129,7 +129,8 @@ def test_signals_end_the_question_also_where_they_end_a_stream_otherwise(termina
 
 
 def test_before_there_is_a_loop_a_second_signal_ends_the_process():
-    with pytest.raises(SystemExit) as caught, playing():
+    with playing():
         os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(SystemExit) as caught:
+            os.kill(os.getpid(), signal.SIGTERM)
     assert caught.value.code == 128 + signal.SIGTERM

@@ -18,7 +18,6 @@ from g1stream.cli.command import (
     on_signals,
     print_summary,
 )
-from g1stream.cli.stream import playing
 from g1stream.session.records import RecorderSummary
 
 
@@ -126,11 +125,3 @@ def test_signals_end_the_question_also_where_they_end_a_stream_otherwise(termina
         assert signal.getsignal(number) == before
     assert caught.value.code == 128 + number
     assert stops == []
-
-
-def test_before_there_is_a_loop_a_second_signal_ends_the_process():
-    with playing():
-        os.kill(os.getpid(), signal.SIGINT)
-        with pytest.raises(SystemExit) as caught:
-            os.kill(os.getpid(), signal.SIGTERM)
-    assert caught.value.code == 128 + signal.SIGTERM

@@ -33,7 +33,7 @@ def test_one_streams_a_motion_while_the_other_records_it(domain_id, tmp_path):
     try:
         simulator.wait_until_ready()
         with subprocess.Popen(
-            command("record_other_publisher.py", other, "--seconds=12"),
+            command("record_other_publisher.py", other, "--seconds=25"),
             stdout=subprocess.PIPE,
             text=True,
         ) as recorder:

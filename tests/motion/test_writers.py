@@ -188,7 +188,7 @@ def test_what_is_written_is_read_back(wild_motion, tmp_path, robot, name):
         written(motion, name, tmp_path), fps=60.0 if name == "csv" else None
     )
     assert found.fps == expected.fps
-    assert [text for text in found.warnings if "assumed" not in text] == []
+    assert len(found.warnings) == 3 * (name == "lafan1")  # joint order, pelvis, frame rate
     close(found.joint_pos, expected.joint_pos, 1e-6)
     close(found.root_pos, expected.root_pos, 1e-6)
     ours, theirs = (

@@ -103,7 +103,7 @@ class ConvertReport:
         rate: poses per second.
         start_ns, end_ns: first and last time, ns since the epoch.
         counts: messages by topic.
-        warnings: corrections and omissions, a sentence each.
+        warnings: those of the motion as it was read, and meshes that were not found.
     """
 
     path: Path

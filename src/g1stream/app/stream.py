@@ -232,7 +232,7 @@ def _rehearse(motion: Motion | str | Path, config: Config) -> None:
     _LOGGER.info("rehearsal: %g s in the simulator", seconds)
     logger = logging.getLogger("g1stream")
     level = logger.level
-    logger.setLevel(logging.WARNING)  # the rehearsal's phases are not the stream's
+    logger.setLevel(logging.CRITICAL)  # the rehearsal's events are not the stream's
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
     asked = config.model_copy(update={"stream": standing})
     try:

@@ -58,13 +58,13 @@ class Inspect(SettingsCommand, MotionPartFlags):
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
         rate, margin = config.stream.rate, config.safety.position_margin
-        evidence, motions = None, []
-        for one in self.motions:
-            reader = self.find(one, robot).open()
-            evidence = reader.evidence if len(self.motions) == 1 else None
-            motions.append(reader.motion())
-        del reader  # which has the content of the file
-        motion = self.join(motions, robot)
+        evidence = None
+        if len(self.motions) == 1:
+            reader = self.find(self.motions[0], robot).open()
+            evidence, motion = reader.evidence, self.join([reader.motion()], robot)
+            del reader  # which has the content of the file
+        else:
+            motion = self.load(self.motions, robot)
         report = check_motion(motion, robot, rate=rate, position_margin=margin)
         if robot.warning:
             print_warning(robot.warning)

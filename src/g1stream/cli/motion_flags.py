@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from g1stream.cli.command import Command
 from g1stream.cli.flags import flag
@@ -75,10 +75,7 @@ class MotionFlags(Command):
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: --on-floor needs the robot's soles, and they are unknown.
         """
-        from g1stream.motion.readers import load_motion
-
-        how: dict[str, Any] = {"fps": self.fps, "joint_order": self.joint_order, "robot": robot}
-        return self.join([load_motion(one, **how) for one in motions], robot)
+        return self.join([self.find(one, robot).load() for one in motions], robot)
 
     def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
         """A motion file, with the flags that say how to read it."""

@@ -96,7 +96,7 @@ class Motion:
             is continuous: q or -q, whichever is closer to the previous frame.
         source: the file it came from, if any.
         sha256: hash of the whole source file, in hex, also if the motion is only a part of it.
-        warnings: corrections of the reader, a sentence each.
+        warnings: what was assumed, not used, filled in or corrected when it was read.
         operations: changes to the motion in the file, in this order, such as `mirrored`.
         parts: the motions that were joined, in order; empty if it is not joined.
 

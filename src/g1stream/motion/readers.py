@@ -166,6 +166,18 @@ class MotionFile:
             "content.",
         )
 
+    def load(self) -> Motion:
+        """Read the motion; its warnings also name what is assumed. It raises what readers raise."""
+        reader, name = self.open(), f"{self.path.name}: "
+        evidence, motion = reader.evidence, reader.motion()
+        told = [text.removeprefix(name) for text in motion.warnings]
+        assumed = tuple(
+            f"{name}{subject}: {text}."
+            for subject, text in evidence.assumptions.items()
+            if not any(evidence.assumed[subject] in one for one in told)
+        )
+        return replace(motion, warnings=motion.warnings + assumed) if assumed else motion
+
 
 class Format(NamedTuple):
     """A format of motion files.
@@ -285,12 +297,4 @@ def load_motion(
         RecordingError: the session is damaged, or no motion was played in it.
         ConfigError: the extra that reads it is not installed.
     """
-    file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
-    reader = file.open()
-    evidence, motion = reader.evidence, reader.motion()
-    assumed = (
-        f"{file.path.name}: {subject}: {text}."
-        for subject, text in evidence.assumptions.items()
-        if not any(evidence.assumed[subject] in told for told in motion.warnings)
-    )
-    return replace(motion, warnings=(*motion.warnings, *assumed))
+    return find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot).load()

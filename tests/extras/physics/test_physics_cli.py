@@ -14,7 +14,7 @@ def run(capsys):
 
 
 def test_it_says_with_which_support_a_motion_can_be_played(run, tmp_path):
-    path = tmp_path / "start.csv"
+    path = tmp_path / "start.npz"
     load_motion("demo").frames(0, 12).save(path)
     physics = MotionPhysics.model_validate_json(run(path, "--json")[1])
     assert run(path) == (0, f"{physics}\n", "")

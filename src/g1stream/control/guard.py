@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from g1stream.config import Config
 
 __all__ = [
+    "HANDS_BACK",
     "Guard",
     "Heartbeat",
     "Takeover",
@@ -53,6 +54,9 @@ __all__ = [
     "count_subscribers",
     "damping_command",
 ]
+
+HANDS_BACK: Final = "hands arms and waist back"
+"""What the guard does with arm_sdk instead of damping."""
 
 _LOGGER = logging.getLogger("g1stream.guard")  # in the child process, this module is __main__
 
@@ -78,7 +82,7 @@ _END_TIMEOUT: Final = 2.0
 
 
 class Takeover(IntEnum):
-    """Why the guard damps the robot."""
+    """Why the guard commands the robot instead of the stream."""
 
     NONE = 0
     ENDED = 1
@@ -513,7 +517,7 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
         commands.announce(PUBLISHING)
     _LOGGER.error(
         "the guard %s: g1stream stream (pid %d) %s, %.0f ms after its last command",
-        "hands arms and waist back" if settings.arm_sdk else "damps",
+        HANDS_BACK if settings.arm_sdk else "damps",
         settings.stream,
         why,
         silence / 1e6,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.control.guard import Takeover, count_subscribers
+from g1stream.control.guard import HANDS_BACK, Takeover, count_subscribers
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
@@ -208,7 +208,7 @@ class DdsLink:
 
     def replaced(self) -> str:
         why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
-        does = "hands arms and waist back" if self._topic is ARM_SDK else "damps the robot"
+        does = HANDS_BACK if self._topic is ARM_SDK else "damps the robot"
         return f"the guard process {does}: this process {why}" if why else ""
 
     def counts(self) -> dict[str, int | None]:

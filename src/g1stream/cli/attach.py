@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, QuietFlag, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, QuietFlag, print_json, print_lines, print_warning
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTION, MotionPartFlags
 from g1stream.cli.progress import showing_progress
@@ -62,7 +62,9 @@ class Attach(MotionPartFlags, QuietFlag):
                 "The flag --force has no effect without --out.", "Add --out OUT.mcap."
             )
         session = open_session(self.session)
-        session = session.attach(self.load([self.reference]), play=self.play)
+        motion = self.load([self.reference])
+        print_warning(*motion.warnings)
+        session = session.attach(motion, play=self.play)
         info = session.attached
         assert info
         if self.json:

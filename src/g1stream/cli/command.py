@@ -222,9 +222,10 @@ def exit_code_of_signal(reason: str) -> int | None:
     return names.get(reason)
 
 
-def print_warning(text: str) -> None:
-    """Print a warning on standard error."""
-    print(f"warning: {printable(text)}", file=sys.stderr)
+def print_warning(*texts: str) -> None:
+    """Print warnings on standard error."""
+    for text in texts:
+        print(f"warning: {printable(text)}", file=sys.stderr)
 
 
 def print_lines(text: str, file: TextIO | None = None) -> None:

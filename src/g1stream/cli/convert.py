@@ -202,8 +202,7 @@ class Convert(MotionPartFlags, QuietFlag):
         motion = self._motion()
         if self.resample:
             motion = motion.resample(self.resample)
-        for warning in motion.warnings:
-            print_warning(warning)
+        print_warning(*motion.warnings)
         path = motion.save(self.out, force=self.force)
         if path.suffix.lower() == ".csv" and motion.fps != DEFAULT_FPS:
             print_warning(f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}")
@@ -229,8 +228,7 @@ class Convert(MotionPartFlags, QuietFlag):
             if self.ros2 or self.to:
                 make = self._ros2_bag if self.ros2 else self._file_of_format
             about, text, warnings = make(on_progress)
-        for warning in warnings:
-            print_warning(warning)
+        print_warning(*warnings)
         if self.json:
             print_json(about)
         else:

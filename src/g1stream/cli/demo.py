@@ -61,8 +61,7 @@ class Demo(LiveCommand, MotionFlags):
         if not self.force:
             check_absent(page)
         motion = self.load([self.motion], G1.load(config.robot))
-        for warning in motion.warnings:
-            print_warning(warning)
+        print_warning(*motion.warnings)
         with playing() as prepare, ExitStack() as stack:
 
             def on_loop(loop: StreamLoop, config: Config) -> None:

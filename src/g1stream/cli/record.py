@@ -15,6 +15,7 @@ from g1stream.cli.command import (
     on_signals,
     print_note,
     print_summary,
+    print_warning,
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
@@ -67,6 +68,7 @@ class Record(LiveCommand):
                 "Add --live, or add the motion to the file later with g1stream attach.",
             )
         motion = load_motion(self.motion) if self.motion is not None else None
+        print_warning(*(motion.warnings if motion else ()))
 
         def on_ready() -> None:
             announce_wire(config, commands=False)

@@ -35,6 +35,7 @@ class SessionFlags(Command):
             RecordingError: the file is no session, or the motion was not played in it.
         """
         from g1stream.app.session import open_session
+        from g1stream.motion.readers import load_motion
         from g1stream.session.streams import ReferenceStream
 
         session = open_session(path)
@@ -43,4 +44,6 @@ class SessionFlags(Command):
         if session.topics.get(ReferenceStream.topic):
             print_warning(f"{path} has a reference: --motion is not used")
             return session
-        return session.attach(self.motion)
+        motion = load_motion(self.motion)
+        print_warning(*motion.warnings)
+        return session.attach(motion)

@@ -227,8 +227,7 @@ class Stream(PlayCommand, MotionFlags):
 
         config = self.resolve()
         motion = self.load(self.motions, G1.load(config.robot))
-        for warning in motion.warnings:
-            print_warning(warning)
+        print_warning(*motion.warnings)
         with self.serving(config), playing() as prepare:
             summary = stream(
                 motion,

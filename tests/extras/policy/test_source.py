@@ -329,7 +329,10 @@ def test_a_policy_that_asks_for_the_base_walks_with_leg_odometry():
     config = load_config(
         over={"stream.stand": 0.5, "stream.duration": 3.0, "stream.ramp": 1.0, "stream.hold": 0.0}
     )
-    session = g1stream.rollout(g1stream.load_motion(path), config=config, policy=path)
+    motion = g1stream.load_motion(path)
+    assert [text for text in motion.warnings if "frame rate: 50 fps, assumed" in text]
+    assert not g1stream.load_motion(path, fps=50.0).warnings
+    session = g1stream.rollout(motion, config=config, policy=path)
     terms = read_contract(Network(path), ROBOT).terms
     assert {"base_lin_vel", "motion_anchor_pos_b"} <= {term.name for term in terms}
     playing = next(phase for phase in session.phases if phase.phase is Phase.PLAY)

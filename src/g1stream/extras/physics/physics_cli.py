@@ -45,8 +45,7 @@ class Physics(SettingsCommand, MotionFlags):
         if robot.warning:
             print_warning(robot.warning)
         motion = self.load(self.motions, robot)
-        for warning in motion.warnings:
-            print_warning(warning)
+        print_warning(*motion.warnings)
         require_si_units(check_motion(motion, robot, rate=config.stream.rate))
         frames = Interval.from_config(config.stream, motion).frames(motion)
         played = robot.select(config.stream.played_joints)

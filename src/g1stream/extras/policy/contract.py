@@ -31,7 +31,10 @@ from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, listed, table
 from g1stream.types import Floats
 
-__all__ = ["PolicyContract", "Term", "read_contract", "recorded_contract"]
+__all__ = ["DEFAULT_RATE", "PolicyContract", "Term", "read_contract", "recorded_contract"]
+
+DEFAULT_RATE: Final = "assumed: default of whole_body_tracking and mjlab"
+"""Origin of a rate that no file has."""
 
 _LABEL: Final = 16
 #: Larger values are an error: N·m/rad, N·m·s/rad, and rad for an action of 1.
@@ -264,7 +267,7 @@ def _sources(network: Network) -> Iterator[_Facts]:
         yield _facts(str(own), lambda: _of_toml(own))
     if "observation_names" in network.metadata:
         yield _facts(told, lambda: _of_tracking(network.metadata))
-        yield _Facts("assumed: default of whole_body_tracking and mjlab", {"rate": 50.0})
+        yield _Facts(DEFAULT_RATE, {"rate": 50.0})
     elif "dof_names" in network.metadata:
         yield _facts(told, lambda: _of_holosoma(network.metadata))
     deploy = network.path.with_name("deploy.yaml")
@@ -277,7 +280,14 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> _Facts:
     """The facts that a reader finds in a source, which may have any content."""
     try:
         return _Facts(where, read())
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise ConfigError(
             f"The facts of the policy cannot be read from {where}: {str(error)[:100]}.",
             "Give the original file of the training, or write the facts to a TOML file beside it.",
@@ -411,6 +421,13 @@ def _of_deploy(path: Path) -> dict[str, Any]:
             for name, one in observations.items()
             if name not in _BESIDE_TERMS
         ]
+    for key, usual in (("clip", None), ("joint_ids", [*range(N_JOINTS)])):
+        if _at(action, key) not in (None, usual):
+            raise ConfigError(
+                f"According to {path}, the actions have {key} of their own, which is not "
+                "supported.",
+                "Give a policy that was trained without it.",
+            )
     known = isinstance(motors, list) and all(
         isinstance(motor, int) and 0 <= motor < N_JOINTS for motor in motors
     )

@@ -8,11 +8,10 @@ import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.observation import Pose, ReferenceFrame, RobotState
-from g1stream.extras.policy.observer import Observer, anchor_poses
+from g1stream.extras.policy.observer import Observer, anchor_poses, pelvis_poses
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
-    quat_rotate,
     quat_rotate_inverse,
     rotation_vector,
     wxyz_from_xyzw,
@@ -38,8 +37,6 @@ _SAME: Final = 0.05
 #: (RMS) of the reference. In 5 s parts of a dance two published trackers have 0.19 to 0.48 rad, at
 #: most 0.95 of this limit. A wrong order, term or scale gives 0.4 to 2.6 rad.
 _FAR: Final = 0.35, 0.15
-_ORIGIN: Final = np.zeros(3)
-_UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class FirstActions(Record, frozen=True):
@@ -135,10 +132,12 @@ def held_frame(contract: PolicyContract, network: Network, step: int) -> Referen
 
 def _given_frames(contract: PolicyContract, robot: G1, motion: Motion) -> list[ReferenceFrame]:
     """The first seconds of a motion at the rate of a policy."""
-    most = round(_LENGTH * contract.rate)
-    _, part = next(iter(motion.samples(contract.rate, 0, motion.n_frames)))
-    joint_pos, joint_vel = part.joint_pos[:most], part.joint_vel[:most]
-    pelvis = part.root_pos[:most], part.root_quat_wxyz[:most]
+    most, parts = round(_LENGTH * contract.rate), []
+    for numbers, part in motion.samples(contract.rate, 0, motion.n_frames):
+        parts.append((part.joint_pos, part.joint_vel, part.root_pos, part.root_quat_wxyz))
+        if numbers.stop >= most:
+            break
+    joint_pos, joint_vel, *pelvis = (np.concatenate(one)[:most] for one in zip(*parts, strict=True))
     anchors = anchor_poses(contract, robot, joint_pos, *pelvis)
     return [ReferenceFrame(*one) for one in zip(joint_pos, joint_vel, anchors, strict=True)]
 
@@ -162,11 +161,9 @@ def _states(
 ) -> list[RobotState]:
     """The robot at the reference, with velocities from differences."""
     joint_pos = np.array([frame.joint_pos for frame in frames])
-    local = anchor_poses(contract, robot, joint_pos, _ORIGIN, _UPRIGHT)
-    pelvis = []
-    for frame, anchor in zip(frames, local, strict=True):
-        quat = quat_mul(frame.anchor.quat_wxyz, quat_conj(anchor.quat_wxyz))
-        pelvis.append(Pose(frame.anchor.pos - quat_rotate(quat, anchor.pos), quat))
+    anchors = [frame.anchor for frame in frames]
+    poses = pelvis_poses(contract, robot, joint_pos, anchors)
+    pelvis = [Pose(*one) for one in zip(*poses, strict=True)]
     states = []
     for i, (frame, here) in enumerate(zip(frames, pelvis, strict=True)):
         low, high = max(0, i - 1), min(i + 1, len(frames) - 1)

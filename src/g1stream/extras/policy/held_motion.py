@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.extras.policy.contract import read_contract
+from g1stream.extras.policy.contract import DEFAULT_RATE, read_contract
 from g1stream.extras.policy.first_actions import held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observer import anchor_poses
+from g1stream.extras.policy.observer import pelvis_poses
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import Evidence
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate
 
 if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
@@ -24,8 +23,6 @@ __all__ = ["HeldMotion"]
 
 #: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
-_ORIGIN: Final = np.zeros(3)
-_UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class HeldMotion:
@@ -48,28 +45,26 @@ class HeldMotion:
 
     @property
     def evidence(self) -> Evidence:
-        return Evidence(
-            {
-                "joint order": self._contract.origin["joint_names"],
-                "frame rate": self._contract.origin["rate"],
-            }
-        )
+        origin, rate = self._contract.origin, f"{self._contract.rate:g} fps"
+        used, assumed = {"joint order": origin["joint_names"]}, {}
+        if self._file.fps is None and origin["rate"] == DEFAULT_RATE:
+            assumed["frame rate"] = rate
+        elif self._file.fps is None:
+            used["frame rate"] = f"{rate}, from {origin['rate']}"
+        return Evidence(used, assumed)
 
     def motion(self) -> Motion:
         contract, network = self._contract, self._network
         frames = [held_frame(contract, network, step) for step in range(self._length())]
         joint_pos = np.array([frame.joint_pos for frame in frames])
-        pos, quat = (np.array(values) for values in zip(*(f.anchor for f in frames), strict=True))
-        # The pelvis's pose follows from the anchor's pose in the pelvis's frame.
-        below = anchor_poses(contract, self._robot, joint_pos, _ORIGIN, _UPRIGHT)
-        offset, turn = (np.array(values) for values in zip(*below, strict=True))
-        pelvis = quat_mul(quat, quat_conj(turn))
+        anchors = [frame.anchor for frame in frames]
+        root_pos, root_quat = pelvis_poses(contract, self._robot, joint_pos, anchors)
         return Motion(
             name=self._file.path.stem,
             fps=self._file.fps or contract.rate,
             joint_pos=joint_pos,
-            root_pos=pos - quat_rotate(pelvis, offset),
-            root_quat_wxyz=pelvis,
+            root_pos=root_pos,
+            root_quat_wxyz=root_quat,
             source=self._file.path,
             sha256=self._file.sha256,
         )

@@ -9,18 +9,21 @@ import numpy as np
 
 from g1stream.extras.policy.observation import Inputs, Pose, ReferenceFrame, RobotState, observe
 from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, yaw_of
+from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from g1stream.extras.policy.contract import PolicyContract
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["Observer", "anchor_poses", "frame_of", "state_of"]
+__all__ = ["Observer", "anchor_poses", "frame_of", "pelvis_poses", "state_of"]
 
 _ORIGIN: Final = np.zeros(3)
+_UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 _ON_FLOOR: Final = np.array([1.0, 1.0, 0.0])
 #: Inputs of a robot without a walking command: velocities, and the phases of its legs.
 _STANDS: Final = np.zeros(3), np.full(2, np.pi)
@@ -43,7 +46,7 @@ class Observer:
         self._frames: deque[ReferenceFrame] = deque(maxlen=contract.lag + 1)
         self._histories: list[deque[Floats]] = [deque(maxlen=one.history) for one in contract.terms]
         self._zeros = contract.history_start == "zeros"
-        self._yaw0, self._origin = np.array([1.0, 0.0, 0.0, 0.0]), (_ORIGIN, _ORIGIN)
+        self._yaw0, self._origin = _UPRIGHT, (_ORIGIN, _ORIGIN)
         self.last_action = np.zeros(len(self._default))
 
     def begin(self, state: RobotState, frame: ReferenceFrame) -> None:
@@ -88,6 +91,17 @@ def anchor_poses(
     link = robot.link_names.index(contract.anchor or robot.link_names[0])
     poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
     return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
+
+
+def pelvis_poses(
+    contract: PolicyContract, robot: G1, joint_pos: Floats, anchors: Sequence[Pose]
+) -> tuple[Floats, Floats]:
+    """Pelvis pos (T, 3) and quat_wxyz (T, 4) from joint_pos (T, 29) and poses of the anchor."""
+    below = anchor_poses(contract, robot, joint_pos, _ORIGIN, _UPRIGHT)
+    offset, turn = (np.array(values) for values in zip(*below, strict=True))
+    pos, anchor_quat = (np.array(values) for values in zip(*anchors, strict=True))
+    quat = quat_mul(anchor_quat, quat_conj(turn))
+    return pos - quat_rotate(quat, offset), quat
 
 
 def state_of(

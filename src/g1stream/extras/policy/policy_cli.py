@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, Command, print_json, print_lines
+from g1stream.cli.command import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    Command,
+    print_json,
+    print_lines,
+    print_warning,
+)
 from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
 
@@ -74,6 +81,7 @@ class Policy(Command):
         network = Network(file)
         contract = read_contract(network)
         motion = load_motion(self.motion) if self.motion else None
+        print_warning(*(motion.warnings if motion else ()))
         actions = first_actions(contract, network, G1.default(), motion)
         if self.json:
             first = actions.model_dump(mode="json") if actions else None

@@ -234,6 +234,11 @@ def test_the_preview_depends_on_the_bridge(made, announced, given, preview):
     assert made(announced, preview=given).preview == preview
 
 
+def test_what_a_policy_observes_is_the_reference_of_a_tick(made, monkeypatch):
+    monkeypatch.setattr(HeldTorques, "reference_only", True)
+    assert made(None, preview=0.0031).preview == pytest.approx(0.004)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("support", ["hanging", "follow"])
 def test_the_right_support_follows_ten_times_as_closely_as_none(support):

@@ -67,8 +67,9 @@ def rollout(
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        support: how the pelvis is held; `config.sim.support`, bolted by default, if None. With
-            `feet` nothing holds it, and the loop balances the robot (extra `feet`).
+        support: how the pelvis is held; if None `config.sim.support`, by default bolted, and free
+            with a policy. With `feet` nothing holds it, and the loop balances the robot (extra
+            `feet`).
         feedforward: what commands contain beside positions; if None `config.stream.feedforward`,
             by default dynamics, and velocity for support "free".
         config: all settings; the defaults if None. `dds` and `realtime` have no effect.

@@ -122,6 +122,9 @@ class FeedForward:
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
+        if self._torques and self._torques.reference_only:
+            # What it observes is the Reference of a later tick.
+            self.preview = round(self.preview / self._period) * self._period
         self.kind, self.support = self._asked, self._told_support
         if self._onboard:
             self._begin_onboard(announced, robot)

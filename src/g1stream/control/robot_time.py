@@ -18,7 +18,7 @@ __all__ = ["RobotTime", "TimeScale"]
 
 #: Maximum difference of a motion from the robot's time, ns; above the jitter of ticks.
 _SLACK: Final = 10_000_000
-#: Maximum time that a motion catches up in a tick after waiting, ns.
+#: Maximum time that a motion catches up in a call of `RobotTime.wait`, ns.
 _CATCH_UP: Final = 20_000_000
 _NS_PER_MS: Final = 1_000_000
 _STALE: Final = round(STALE * 1e9)

@@ -76,7 +76,8 @@ class Source:
     settings. `change` is called once, then `begin` once, then in each tick `observe` for the newest
     LowState and `command` for the command of the next tick. All calls are in the loop's thread.
     `command` may compute at a lower rate, and return the same target in between. Its result is kept
-    within the limits. The Reference has the target that was passed to `command`.
+    within the limits. The target passed to `command` is ahead by the preview; the Reference has
+    that of its own tick.
 
     Attributes:
         gains: gains for the targets of this source; None: those of the config.

@@ -1,5 +1,5 @@
 import json
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 
 import numpy as np
 import onnx
@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import g1stream
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
@@ -84,6 +85,31 @@ def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(deployed
     assert [term.scale for term in contract.terms] == [[0.2] * 3, [1.0], [1.0]]
     assert contract.rate == pytest.approx(50.0)
     assert (contract.reference, contract.anchor) == ("none", None)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "refused"),
+    [
+        ("clip", [[-0.5, 0.5]] * 29, True),
+        ("clip", None, False),
+        ("joint_ids", [*range(12)], True),
+        ("joint_ids", [*range(29)], False),
+    ],
+)
+def test_limits_of_actions_in_a_deploy_yaml_are_not_dropped(deployed, key, value, refused):
+    path = deployed(29, {"last_action": {}})
+    beside = path.with_name("deploy.yaml")
+    values = json.loads(beside.read_text())
+    values["actions"]["JointPositionAction"][key] = value
+    beside.write_text(json.dumps(values))
+    with pytest.raises(ConfigError, match=key) if refused else nullcontext():
+        assert contract_of(path).rate == pytest.approx(50.0)
+
+
+def test_metadata_that_is_nested_too_deeply_is_refused(policy):
+    path = policy(only={"dof_names": "[" * 100_000})
+    with pytest.raises(ConfigError):
+        contract_of(path)
 
 
 def test_histories_of_metadata_and_a_toml_file(policy, capsys):
@@ -227,6 +253,16 @@ def test_a_network_that_fails_is_an_error_with_a_cause(policy, capsys):
     assert capsys.readouterr().err.startswith("error: The network of ")
 
 
+def test_a_scalar_beside_the_action_is_not_used(policy):
+    path = policy()
+    model = onnx.load(path)
+    length = onnx.helper.make_tensor("length", onnx.TensorProto.FLOAT, [], [7.0])
+    model.graph.initializer.append(length)
+    model.graph.output.append(onnx.helper.make_tensor_value_info("length", 1, []))
+    onnx.save(model, path)
+    assert Network(path).act(np.ones(154)) == pytest.approx(np.full(29, 1.54))
+
+
 def test_an_unknown_fact_of_a_term_is_refused(policy, capsys):
     path = policy()
     path.with_suffix(".toml").write_text('[[terms]]\nname = "command"\nscales = 0.1\n')
@@ -251,9 +287,12 @@ def test_actions_that_are_not_finite_are_refused(policy, capsys):
     assert "not finite" in capsys.readouterr().err
 
 
-def test_targets_far_from_the_reference_are_a_problem(policy, capsys):
+@pytest.mark.parametrize("fps", [None, 500.0])
+def test_targets_far_from_the_reference_are_a_problem(policy, fps, tmp_path, capsys):
     path = str(policy())  # its targets are all alike
-    assert main(["policy", path, "--motion", "demo", "--json"]) == 1
+    motion = g1stream.load_motion("demo")
+    motion = (motion.resample(fps) if fps else motion).save(tmp_path / "motion.npz")
+    assert main(["policy", path, "--motion", str(motion), "--json"]) == 1
     first = json.loads(capsys.readouterr().out)["first_actions"]
     assert first["steps"] == 250
     assert first["rms_rad"] > 0.3

@@ -9,8 +9,10 @@ from mcap_ros2.decoder import DecoderFactory
 from onnx import helper, numpy_helper
 
 import g1stream
+from g1stream.app.stream import _rehearse
 from g1stream.cli.main import main
-from g1stream.config import Config, SimConfig
+from g1stream.config import Config, SafetyConfig, SimConfig
+from g1stream.control.loop import make_loop
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.replay import replay_policy
@@ -375,6 +377,42 @@ def test_terms_of_two_sessions_are_compared(falling, place):
 def test_a_session_of_a_policy_is_not_replayed_by_one(falling, place):
     with pytest.raises(ConfigError):
         g1stream.replay(falling, config(policy=str(place / "policy.onnx")))
+
+
+def test_a_part_that_begins_after_the_fall(falling, monkeypatch):
+    end = float(falling.policy.time[0]) - 0.01
+    monkeypatch.setattr("g1stream.extras.policy.steps._fall", lambda _: (end, "the tilt"))
+    found = policy_steps(falling)
+    assert (found.fall.time_s, found.fall.signs) == (end, [])
+    assert all(np.isfinite(one.std) for one in found.terms.values())
+
+
+@needs_policies
+def test_after_an_early_end_the_observations_are_those_of_the_way_down(monkeypatch):
+    loops, states = [], []
+
+    def kept(*arguments, **others):
+        loops.append(make_loop(*arguments, **others))
+        return loops[0]
+
+    def stopping(state):
+        states.append(state)
+        if loops[0].motion_time > 1.5 and not loops[0].stop_requests:
+            loops[0].request_stop("SIGINT")
+
+    monkeypatch.setattr("g1stream.app.rollout.make_loop", kept)
+    session = g1stream.rollout(DANCE, policy=UNITREE, config=config(), noise=stopping)
+    assert session.summary().termination.reason == "SIGINT"
+    replayed = replay_policy(session)
+    assert replayed.rebuilt == len(session.policy)
+    assert replayed.same
+
+
+@needs_policies
+def test_a_rehearsal_needs_no_remote():
+    asked = config(policy=str(UNITREE), rehearse=0.5, beyond_limits="refuse")
+    safety = SafetyConfig(deadman="R1", mode_machine=(7,))
+    _rehearse(DANCE, asked.model_copy(update={"safety": safety}))
 
 
 @needs_policies

@@ -34,7 +34,7 @@ class Network:
         outputs: names of all outputs.
         steps: whether it takes a time step, which means that it contains a motion.
         sha256: hash of the file.
-        data_sha256: hash of the external data beside it; None without external data.
+        data_sha256: hash of the external data `<name>.data` beside it; None without that file.
 
     Raises:
         ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
@@ -100,7 +100,8 @@ class Network:
                 f"The network of {self.path} fails: {_reason(error)}.",
                 "Export it for a batch of 1 and float32 inputs.",
             ) from error
-        return {name: value[0] for name, value in zip(self.outputs, values, strict=True)}
+        batches = map(np.atleast_1d, values)  # a scalar may be an unused output
+        return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 
     def act(self, observation: Floats, step: int = 0) -> Floats:
         """The action (joints,) for one observation (width,)."""

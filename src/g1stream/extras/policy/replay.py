@@ -8,6 +8,7 @@ recorded ones term by term. This also compares two runners of a policy.
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,7 +24,7 @@ from g1stream.text import counted, labelled, table
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from g1stream.app.session import Session
     from g1stream.extras.policy.contract import Term
@@ -162,19 +163,19 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
         same = (info.sha256, info.data_sha256) == (network.sha256, network.data_sha256)
     if policy is None and same is False:
         raise ConfigError(
-            f"{network.path} has changed since {session.path} was recorded: its SHA-256 differs "
-            "one.",
+            f"{network.path} has changed since {session.path} was recorded: its SHA-256 differs.",
             "Give the ONNX file that played before --replay, or this one explicitly to compare it.",
         )
     if network.width != steps.observation.shape[1] or network.n_actions != len(JOINT_NAMES):
         raise ConfigError(
-            f"{network.path} takes {counted(network.width, 'value')}, but the session has "
-            f"observations of {steps.observation.shape[1]}.",
+            f"{network.path} gives {counted(network.n_actions, 'action')} for "
+            f"{counted(network.width, 'value')}, but the session has {len(JOINT_NAMES)} for "
+            f"{steps.observation.shape[1]}.",
             "Give the policy that was played, or one with the same contract.",
         )
     contract = _contract(session, network)
     columns = PolicyInfo(contract=contract.model_dump(mode="json")).columns
-    rebuilt, left_out = _observations(session, steps, contract)
+    rebuilt, left_out = _observations(session, steps, contract, columns)
     return PolicyReplay(
         session=str(session.path),
         policy=str(network.path),
@@ -248,7 +249,7 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
 
 
 def _observations(
-    session: Session, steps: PolicyStream, contract: PolicyContract
+    session: Session, steps: PolicyStream, contract: PolicyContract, columns: Mapping[str, slice]
 ) -> tuple[Floats, dict[str, int]]:
     """Recomputed observations (N, K), NaN where not possible; and the number by reason."""
     states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
@@ -277,9 +278,9 @@ def _observations(
             rebuilt[i], before = observer.observe(state, frame), number
         if not steps.repeated[i]:
             observer.last_action = steps.action[i].astype(np.float64)[order]
-    for name, columns in steps.terms.items():
+    for name, at in columns.items():
         if name in OF_BASE:
-            rebuilt[:, columns] = np.nan
+            rebuilt[:, at] = np.nan
     return rebuilt, left_out
 
 
@@ -287,17 +288,21 @@ def _references(session: Session, steps: PolicyStream) -> list[int]:
     """Index of the Reference that each step observed, -1 if that was not published.
 
     It is some ticks after the Reference of the step's command. If several have its motion time,
-    as before and after a motion, it is the nearest one.
+    as before and after a motion, it is as many ticks after as where one has it.
     """
     reference = session.reference
     beside = np.searchsorted(reference.publish_time, steps.publish_time)
-    indices = []
+    found = []
     for at, motion_time in zip(beside.tolist(), steps.motion_time.tolist(), strict=True):
         near = slice(max(0, at - _NEAR), at + _NEAR)
         same = np.abs(reference.motion_time[near] - motion_time) < _SAME_TIME
-        found = np.flatnonzero(same & (reference.phase[near] >= Phase.PLAY)) + near.start
-        indices.append(int(found[np.abs(found - at).argmin()]) if len(found) else -1)
-    return indices
+        found.append(np.flatnonzero(same & (reference.phase[near] >= Phase.PLAY)) + near.start)
+    shifts = [int(of[0] - at) for of, at in zip(found, beside, strict=True) if len(of) == 1]
+    usual = beside + round(median(shifts)) if shifts else beside
+    return [
+        int(of[np.abs(of - at).argmin()]) if len(of) else -1
+        for of, at in zip(found, usual, strict=True)
+    ]
 
 
 def _found(times: Any, wanted: Any) -> list[int]:

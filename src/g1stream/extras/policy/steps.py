@@ -182,6 +182,8 @@ def policy_steps(session: Session) -> PolicySteps | None:
     begin, fall = float(steps.time[0]), _fall(session)
     full = _at_limit(session)
     told, window = None, 0.0
+    if fall and fall[0] <= begin:  # a part of a session, from after the fall
+        told, fall = Fall(time_s=fall[0], why=fall[1], signs=[]), None
     if fall:
         window = min(_WINDOW, 0.5 * (fall[0] - begin))
         traces = [*terms, _actions(steps, columns, contract), *_contacts(session, steps)]

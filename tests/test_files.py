@@ -43,6 +43,8 @@ def test_nothing_is_read_from_a_pipe(tmp_path):
 def test_a_time_in_the_name():
     path = timestamped(Path("runs/session.mcap"), 1_772_366_400_999_999_999)
     assert path == Path("runs/session-20260301T120000Z.mcap")
+    with pytest.raises(RecordingError):
+        timestamped(Path("./"), 0)
 
 
 def write(path, **options):

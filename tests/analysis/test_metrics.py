@@ -200,6 +200,18 @@ def test_after_ticks_left_out_the_state_is_a_new_one():
     assert (found.p50, found.max) == (pytest.approx(3000.0), pytest.approx(3000.0))
 
 
+@pytest.mark.parametrize("told", [{}, {"repaired": True}, {"recorder": {"stopped": "disk full"}}])
+def test_states_that_a_broken_recorder_lost_do_not_make_commands_late(told):
+    source = MemorySource()
+    for topic, sent in synthetic().source.batches({"/lowcmd", "/lowstate", "/reference"}):
+        part = slice(-100 if topic == "/lowstate" else None)
+        source.write_batch(topic, sent.data[part], sent.log_times[part], sent.publish_times[part])
+    source.add_metadata(told)
+    age = Session(source).metrics().timing.state_age_us
+    assert age.p50 == pytest.approx(1000.0)
+    assert (age.max > 100_000.0) is (not told)
+
+
 def test_another_programs_commands_are_as_old_as_the_newest_state():
     session = synthetic()
     session.topics = {name: n for name, n in session.topics.items() if name != "/reference"}

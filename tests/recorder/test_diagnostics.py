@@ -98,11 +98,24 @@ def test_datagrams_that_the_kernel_discards_are_counted():
 def test_references_that_wait_at_the_end_are_counted_except_the_last(in_transit):
     missing = MissingCommands()
     times = [i * 2_000_000 for i in range(100)]
-    missing.add_commands(time for time in times[: 100 - in_transit] if time not in times[50:53])
+    arrived = [time for time in times[: 100 - in_transit] if time not in times[50:53]]
+    missing.add_commands("rt/lowcmd", arrived)
     missing.add_references(times)
     assert missing.count == 0
     missing.finish()
     assert missing.count == 3
+
+
+@pytest.mark.parametrize("ahead", [10_000_000_000, -10_000_000_000, 0])
+def test_commands_of_another_program_do_not_hide_those_of_the_references(ahead):
+    missing = MissingCommands()
+    times = [i * 2_000_000 for i in range(1000)]
+    for i in range(0, 1000, 50):
+        missing.add_commands("rt/arm_sdk", times[i : i + 50])
+        missing.add_commands("rt/lowcmd", [time + ahead + 1 for time in times[i : i + 50]])
+        missing.add_references(times[i : i + 50])
+    missing.finish()
+    assert (missing.topic, missing.count) == ("rt/arm_sdk", 0)
 
 
 T0 = 1_700_000_000_000_000_000

@@ -338,8 +338,9 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     if "/lowstate" in found.topics:
         order = np.argsort(session.measured.published, kind="stable")
         states = session.measured.published[order]
-        # If the recorder was killed, states may be missing that recorded commands have used.
-        seen = (commands <= states[-1]) | session.complete
+        # Of a recorder that was killed or failed, the file may lack states that commands have used.
+        whole = session.closed and not (summary.recorder and summary.recorder.stopped)
+        seen = (commands <= states[-1]) | whole
         newest = np.searchsorted(states, commands, side="right") - 1
         found.state_age_us = _ages(commands, states, newest, seen)
         found.state_to_command_us = found.state_age_us

@@ -38,7 +38,7 @@ from g1stream.session.streams import (
     MeasuredStream,
     ReferenceStream,
     Stream,
-    warnings_in,
+    Warnings,
     without_steps,
 )
 from g1stream.text import counted
@@ -175,7 +175,7 @@ def summarise(session: Recording) -> Summary:
         *find_problems(summary),
         *_file_problems(session),
         *_sample_problems(session),
-        *warnings_in(session.log, _last_command(session)),
+        *Warnings(session.log).texts(_last_command(session)),
         *problems,
     ]
     return summary
@@ -338,8 +338,7 @@ def _file_problems(session: Recording) -> Iterator[str]:
         )
     for number, reason in session.absent_parts.items():
         yield f"Part {number} is missing: {reason}"
-    closed = session.complete and not session.metadata.get("repaired")
-    if not (closed or session.absent_parts):
+    if not (session.closed or session.absent_parts):
         yield (
             "The recorder did not close the file. It ends with its last complete chunk, and the "
             "number of lost samples is unknown"

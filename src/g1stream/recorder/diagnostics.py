@@ -51,22 +51,29 @@ _MIN_STEP: Final = 2_000_000
 
 
 class MissingCommands:
-    """Counts References whose LowCmd, with the same publish time, did not arrive."""
+    """Counts References whose LowCmd, with the same publish time, did not arrive.
+
+    Attributes:
+        topic: DDS topic of the commands that had a Reference.
+        count: number of References without one.
+    """
 
     def __init__(self) -> None:
+        self.topic = LOWCMD.name
         self.count = 0
-        self._commands: set[int] = set()
+        # Apart by topic: with --via arm_sdk, /lowcmd has the robot's own clock.
+        self._commands: dict[str, set[int]] = defaultdict(set)
         self._references: set[int] = set()
         self._newest = 0
 
-    def add_commands(self, publish_times: Iterable[int]) -> None:
-        """Add the publish times of LowCmds, ns.
+    def add_commands(self, topic: str, publish_times: Iterable[int]) -> None:
+        """Add the publish times of the LowCmds of a topic, ns.
 
         This also drops old unmatched ones, because there may be commands without references.
         """
         times = set(publish_times)
         before = min(times, default=0) - _MAX_WAIT_NS
-        self._commands = {time for time in self._commands if time >= before} | times
+        self._commands[topic] = {time for time in self._commands[topic] if time >= before} | times
 
     def add_references(self, publish_times: Sequence[int]) -> None:
         """Add the publish times of References, ns, oldest first."""
@@ -80,9 +87,11 @@ class MissingCommands:
 
     def _settle(self, before: int) -> None:
         """Drop pairs, and count References before this time without a LowCmd."""
-        pairs = self._references & self._commands
-        self._references -= pairs
-        self._commands = {time for time in self._commands - pairs if time >= before}
+        for topic, times in self._commands.items():
+            if pairs := self._references & times:
+                self.topic = topic
+                self._references -= pairs
+            self._commands[topic] = {time for time in times - pairs if time >= before}
         alone = {time for time in self._references if time < before}
         self._references -= alone
         self.count += len(alone)
@@ -106,14 +115,11 @@ class Losses:
         self.lost: dict[str, int] = {}
         self._ticks: dict[str, dict[int, TickGaps]] = defaultdict(lambda: defaultdict(TickGaps))
         self._commands = MissingCommands()
-        self._commanded = LOWCMD.name  # the topic with the commands of the references
 
     def add(self, name: str, batch: Batch) -> None:
         """Add samples of a topic, oldest first; the ticks of each writer are independent."""
         if name in (LOWCMD.name, ARM_SDK.name):
-            if name == ARM_SDK.name:
-                self._commanded = name
-            self._commands.add_commands(batch.publish_times)
+            self._commands.add_commands(name, batch.publish_times)
         if name == REFERENCE.name:
             self._commands.add_references(batch.publish_times)
         if topic := _TOPICS_WITH_TICKS.get(name):
@@ -142,7 +148,7 @@ class Losses:
             step = state_step if name == LOWSTATE.name else 1.0
             counters = self._ticks[name].values() if step else ()
             by_ticks = sum(c.missed(step) for c in counters if step and c.received > _MIN_TICKS)
-            by_reference = self._commands.count if name == self._commanded else 0
+            by_reference = self._commands.count if name == self._commands.topic else 0
             lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)
             if lost > before:
                 more[name] = lost - before

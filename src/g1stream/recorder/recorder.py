@@ -26,11 +26,11 @@ from g1stream.recorder.diagnostics import (
 )
 from g1stream.session.format import CHANNEL_OF, MessageBatch, encode_log
 from g1stream.session.records import RecorderSummary, TopicDelay
-from g1stream.session.streams import LogEvent, warnings_in
+from g1stream.session.streams import LogEvent, Warnings
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
@@ -151,7 +151,7 @@ class Recorder:
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
         self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)
-        self._log: list[LogEvent] = []
+        self._warnings = Warnings()
         self._last_command = 0
         self._drops_due = 0.0
         self._aligned = self._overrun = False
@@ -247,7 +247,7 @@ class Recorder:
         for messages in (*raw_messages(batches), *self._pipeline.encode(batches)):
             self._writer.write_batch(*messages)
             if messages.topic == "/log":
-                self._keep_serious(map(bytes, messages.payloads))
+                self._warnings.add(map(LogEvent.decode, map(bytes, messages.payloads)))
         self._check_alignment()
         self._check_losses()
         self._check_clock()
@@ -262,12 +262,8 @@ class Recorder:
             record = self._events.get()
             logged = int(record.created * 1e9)
             line = encode_log(logged, severity(record), "record", record.getMessage())
-            self._keep_serious([line])
+            self._warnings.add([LogEvent.decode(line)])
             self._writer.write("/log", line, time.time_ns(), logged)
-
-    def _keep_serious(self, lines: Iterable[bytes]) -> None:
-        """Keep warnings and errors of log lines for the report."""
-        self._log += [event for event in map(LogEvent.decode, lines) if event.is_serious]
 
     def _check_delay(self, name: str, batch: Batch) -> None:
         delays = self._delays[name]
@@ -366,7 +362,7 @@ class Recorder:
         report.clock_steps = self._steps.steps
         base = self._pipeline.base
         report.measured_tf = base.summary() if base else None
-        report.warnings = warnings_in(self._log, self._last_command)
+        report.warnings = self._warnings.texts(self._last_command)
         report.path = str(self._writer.path)
         report.paths = [str(path) for path in self._writer.paths]
         for name, delays in self._delays.items():

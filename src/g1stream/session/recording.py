@@ -150,9 +150,14 @@ class Recording:
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
-        whole = "" if self.complete else ", not closed by its recorder"
+        whole = "" if self.closed else ", not closed by its recorder"
         selection = ", of which this is a part" if self.selected else ""
         return f"<{type(self).__name__} {str(self.path)!r}: {counts}{whole}{selection}>"
+
+    @property
+    def closed(self) -> bool:
+        """Whether the recorder closed all files; False for a repaired one."""
+        return self.complete and not self.metadata.get("repaired")
 
     @property
     def selected(self) -> bool:

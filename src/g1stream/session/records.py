@@ -568,7 +568,7 @@ class RecorderSummary(Record):
         clock_steps: times and sizes of steps of CLOCK_REALTIME.
         delays: by topic.
         measured_tf: how the measured robot was placed.
-        warnings: warnings in the log, from `g1stream.session.streams.warnings_in`.
+        warnings: warnings in the log, from `g1stream.session.streams.Warnings`.
     """
 
     path: str = ""

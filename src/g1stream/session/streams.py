@@ -40,10 +40,10 @@ __all__ = [
     "Stream",
     "StreamT",
     "TorsoImuStream",
+    "Warnings",
     "delays_of_steps",
     "neighbours",
     "read_only",
-    "warnings_in",
     "without_steps",
 ]
 
@@ -551,29 +551,43 @@ class LogEvent(NamedTuple):
         return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)
 
 
-def warnings_in(log: Iterable[LogEvent], last_command: int) -> list[str]:
-    """The warnings and errors in a log; of messages that differ only in numbers, the last.
+class Warnings:
+    """The warnings and errors of a log; of messages that differ only in numbers, the last.
 
-    What the guard logs is left out, and a simulator that tells that commands have stopped after the
-    last of all: then their program has ended.
+    What the guard logs is left out.
 
     Args:
-        log: in the order of the file.
-        last_command: when that was received, ns since the epoch; 0 if there was none.
+        events: in the order of the log.
     """
-    last: dict[str, str] = {}
-    counts: Counter[str] = Counter()
-    for event in log:
-        ended = event.text.startswith(LOWCMD_TIMEOUT) and 0 < last_command < event.time
-        if event.is_serious and not ended:
-            text = f"{event.name}: {event.text}"
-            kind = re.sub(r"\d+", "#", text)
-            last[kind] = text
-            counts[kind] += 1
-    return [
-        text if counts[kind] == 1 else f"{text} (the last of {counts[kind]})"
-        for kind, text in last.items()
-    ]
+
+    def __init__(self, events: Iterable[LogEvent] = ()) -> None:
+        self._last: dict[str, LogEvent] = {}
+        self._counts: Counter[str] = Counter()
+        self.add(events)
+
+    def add(self, events: Iterable[LogEvent]) -> None:
+        """Add the next events of the log."""
+        for event in events:
+            if event.is_serious:
+                kind = re.sub(r"\d+", "#", f"{event.name}: {event.text}")
+                self._last[kind] = event
+                self._counts[kind] += 1
+
+    def texts(self, last_command: int) -> list[str]:
+        """The messages, in the order in which each first appeared.
+
+        That commands have stopped is left out after the last command, when their program has ended.
+
+        Args:
+            last_command: when that was received, ns since the epoch; 0 if there was none.
+        """
+        texts = []
+        for kind, event in self._last.items():
+            ended = event.text.startswith(LOWCMD_TIMEOUT) and 0 < last_command < event.time
+            if count := self._counts[kind] - ended:
+                text = f"{event.name}: {event.text}"
+                texts.append(text if count == 1 else f"{text} (the last of {count})")
+        return texts
 
 
 def without_steps(times: Ints, steps: Sequence[int]) -> Ints:

@@ -61,6 +61,7 @@ def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
         ("stream", ("--duration", "0"), "--duration cannot be 0"),
         ("stream", ("--feedforward", "torque"), "'velocity'"),
         ("stream", ("--fps", "0"), "--fps cannot be 0"),
+        ("stream", ("--speed", "inf"), "--speed cannot be inf"),
         ("stream", ("--split-size", "5"), "--split-size"),
         ("replay", ("--force",), "--force"),
         ("sim", ("--live-port", "9000"), "--live-port"),

@@ -229,11 +229,12 @@ class _Parser(ArgumentParser):
             return plain  # type: ignore[no-any-return]  # `convert` starts without pydantic
 
         def read(text: str) -> Any:
-            from pydantic import TypeAdapter, ValidationError
+            from pydantic import ConfigDict, TypeAdapter, ValidationError
 
             limited: Any = getitem(Annotated, (kind, *limits)) if limits else kind
+            adapter: Any = TypeAdapter(limited, config=ConfigDict(allow_inf_nan=False))
             try:
-                return TypeAdapter(limited).validate_strings(text)
+                return adapter.validate_strings(text)
             except ValidationError as error:
                 wrong = error.errors()[0]["msg"]
                 raise ConfigError(

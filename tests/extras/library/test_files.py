@@ -34,6 +34,23 @@ def test_urls_are_those_of_fsspec(motions):
     assert content_hash(url) == sha256((motions / "first.npz").read_bytes()).hexdigest()
 
 
+def test_hidden_directories_and_libraries_below_a_url_are_left_out(tmp_path):
+    pytest.importorskip("fsspec")
+    root = tmp_path / ".root"
+    names = [
+        ".cache/x.npz",
+        "lib/.g1stream-library",
+        "lib/converted/y.npz",
+        "library.npz",
+        "b/z.csv",
+    ]
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    found = find_motions([f"file://{root}"])
+    assert found == [f"file://{root}/b/z.csv", f"file://{root}/library.npz"]
+
+
 @pytest.fixture
 def served(motions):
     """The URL of the motions on a web server of Python's on loopback."""

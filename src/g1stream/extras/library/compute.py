@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 import time
 from dataclasses import dataclass, field
@@ -52,6 +53,8 @@ OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
 #: Settings without effect on a simulation: DDS, scheduling and recording. Parameters are identified
 #: by their content, not by their path.
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
+#: Maximum length of a motion's name in a file name, characters of up to 4 bytes.
+_LONGEST_NAME: Final = 50
 #: Links of a picture's stick figure, a line each.
 _LIMBS: Final = (
     ("left_ankle_roll_link", "left_knee_link", "left_hip_roll_link", "pelvis"),
@@ -237,6 +240,8 @@ def _contents_at(location: str) -> list[tuple[str, Content]]:
         whole = content_hash(file)
     except MotionError as error:
         return [(location, Content("", error.cause))]
+    except MemoryError:
+        return [(location, Content("", "There is not enough memory to list its motions."))]
     if not members:
         return [(file, Content(whole))]
     hashes = {one: sha256(f"{whole} {one}".encode()).hexdigest() for one in members}
@@ -413,7 +418,9 @@ def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
     """Path of a row's file. Motions with the same name have different keys."""
     directory = case.out / OUTPUTS[case.command]
     directory.mkdir(parents=True, exist_ok=True)
-    return directory / f"{motion.name}-{key[:8]}{suffix}"
+    # The name of a motion in a pickle may be any text, such as a path.
+    name = re.sub(r"[^\w.+-]", "_", motion.name)[:_LONGEST_NAME]
+    return directory / f"{name}-{key[:8]}{suffix}"
 
 
 _COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}

@@ -95,7 +95,13 @@ def _below_url(url: str) -> list[str]:
         if not files.exists(root):
             raise FileNotFoundError("it does not exist")
         _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
-        found = _motions_among(files.find(root))
+        paths = files.find(root)
+        libraries = tuple(path.removesuffix(LIBRARY) for path in paths if path.endswith(LIBRARY))
+        found = [
+            path
+            for path in _motions_among(paths)
+            if "/." not in f"/{path.removeprefix(root)}" and not path.startswith(libraries)
+        ]
         if not found and files.isfile(root):  # a directory on a web server is a file, too
             return [url]
         return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]

@@ -9,8 +9,9 @@ processes less what computing it took, as its row says.
 
 efficiency is against as many single processes, linear_r2 of time over number. command_ms and
 scheduler_ms are the CPU time of the command and of the scheduler for a motion: each looks at every
-motion, in one thread. With --root a library is computed in pieces of some minutes. With --hour an
-hour of a motion, such as demo, is checked as one file.
+motion, in one thread. scheduler_mb and command_mb are their memory before, and after each tenth of
+the most motions; the command submits at most 4,096 at a time. With --root a library is computed in
+pieces of some minutes. With --hour an hour of a motion, such as demo, is checked as one file.
 """
 
 from __future__ import annotations
@@ -152,13 +153,23 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
             return found | figures(several, workers, single)
         with dask_cluster(workers) as (address, head, _):
             check(motions[:workers], root / "warm", cluster=address)
-            before, spent = resident_mb(head.pid), cpu_s(head.pid)
-            several = [check(motions[:n], root / f"dask-{n}", cluster=address) for n in numbers]
+            held, spent = [], cpu_s(head.pid)
+
+            def hold(_: Any = None) -> None:
+                held.append((resident_mb(head.pid), resident_mb(os.getpid())))
+
+            hold()
+            several = [
+                check(motions[:n], root / f"dask-{n}", cluster=address, on_row=hold)
+                for n in numbers
+            ]
+            most, tenth = held[-numbers[-1] :], max(1, numbers[-1] // 10)
+            scheduler, command = zip(held[0], *most[tenth - 1 :: tenth], strict=True)
             return found | {
                 **figures(several, workers, single),
                 "scheduler_ms": 1e3 * (cpu_s(head.pid) - spent) / sum(numbers),
-                "scheduler_mb": resident_mb(head.pid),
-                "scheduler_growth_mb": resident_mb(head.pid) - before,
+                "scheduler_mb": scheduler,
+                "command_mb": command,
             }
 
 
@@ -202,8 +213,10 @@ def main() -> None:
         print(json.dumps(found, indent=2))
         return
     for name, value in found.items():
-        if name != "runs":
-            print(f"{name:<26}{value:10.4g}" if value is not None else f"{name:<26}{'':>10}")
+        if isinstance(value, float | int):
+            print(f"{name:<26}{value:10.4g}")
+    for name in ("scheduler_mb", "command_mb") if flags.cluster else ():
+        print(f"{name:<26}{' '.join(f'{one:.0f}' for one in found[name])}")
     for run in found["runs"]:
         print("".join(f"{key} {value:.1f}  " for key, value in run.items()))
 

@@ -52,10 +52,10 @@ def demo(
     if not force:
         named_anew = config.record.auto_name  # the recorder adds the time to the name
         check_absent(*([] if named_anew else [session_path]), figure_path)
+    config = _with_free_domain(config)
     made = not out.exists()
     with output_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    config = _with_free_domain(config)
     # The stream publishes for ROS 2, so nothing else does.
     quiet = config.dds.model_copy(update={"ros_tf": False})
     sim = Child("sim", config.model_copy(update={"dds": quiet}))

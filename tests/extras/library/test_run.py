@@ -278,13 +278,14 @@ def test_each_motion_of_a_file_has_a_row(tmp_path):
     part = {"dof": demo.joint_pos[:40], "root_pos": demo.root_pos[:40], "fps": 30}
     part["root_quat_wxyz"] = demo.root_quat_wxyz[:40]
     path = tmp_path / "several.pkl"
-    path.write_bytes(pickle.dumps({"one": part, "two": part}))
-    for place, names in ((tmp_path, {"one", "two"}), (f"{path}:two", {"two"})):
+    path.write_bytes(pickle.dumps({"../one": part, "two": part}))
+    for place, names in ((tmp_path, {"../one", "two"}), (f"{path}:two", {"two"})):
         out = tmp_path.with_name(f"{tmp_path.name} {len(names)}")
         case = LibraryCase("convert", out, format="npz")
         run = run_library([str(place)], [case], workers=1)
         rows = by_name(open_library(out))
         assert (run.files, run.done, run.failed) == (1, len(names), 0)
+        assert all((out / row["output"]).parent.name == "converted" for row in rows.values())
         assert {name: row["path"] for name, row in rows.items()} == {
             n: f"{path}:{n}" for n in names
         }

@@ -9,9 +9,10 @@ processes less what computing it took, as its row says.
 
 efficiency is against as many single processes, linear_r2 of time over number. command_ms and
 scheduler_ms are the CPU time of the command and of the scheduler for a motion: each looks at every
-motion, in one thread. scheduler_mb and command_mb are their memory before, and after each tenth of
-the most motions; the command submits at most 4,096 at a time. With --root a library is computed in
-pieces of some minutes. With --hour an hour of a motion, such as demo, is checked as one file.
+motion, in one thread. scheduler_mb_by_tenth and command_mb_by_tenth are their memory before, and
+after each tenth of the most motions; the command submits at most 4,096 at a time. With --root a
+library is computed in pieces of some minutes. With --hour an hour of a motion, such as demo, is
+checked as one file.
 """
 
 from __future__ import annotations
@@ -168,8 +169,8 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
             return found | {
                 **figures(several, workers, single),
                 "scheduler_ms": 1e3 * (cpu_s(head.pid) - spent) / sum(numbers),
-                "scheduler_mb": scheduler,
-                "command_mb": command,
+                "scheduler_mb_by_tenth": scheduler,
+                "command_mb_by_tenth": command,
             }
 
 
@@ -215,7 +216,7 @@ def main() -> None:
     for name, value in found.items():
         if isinstance(value, float | int):
             print(f"{name:<26}{value:10.4g}")
-    for name in ("scheduler_mb", "command_mb") if flags.cluster else ():
+    for name in ("scheduler_mb_by_tenth", "command_mb_by_tenth") if flags.cluster else ():
         print(f"{name:<26}{' '.join(f'{one:.0f}' for one in found[name])}")
     for run in found["runs"]:
         print("".join(f"{key} {value:.1f}  " for key, value in run.items()))

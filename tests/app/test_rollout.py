@@ -6,7 +6,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from g1stream.app.rollout import LATENCY, rollout
 from g1stream.app.session import Session, open_session
-from g1stream.config import Config
+from g1stream.config import Config, load_config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import ExtendedSource, MemorySource
@@ -110,6 +110,11 @@ def test_every_phase_and_channel_is_there(session):
 def test_what_cannot_be_played(settings, how, named):
     with pytest.raises(ConfigError, match=named):
         rollout("demo", config=Config.model_validate(settings), **how)
+
+
+def test_a_simulated_robot_needs_no_remote_and_no_kind():
+    config = load_config(over={"safety.deadman": "R1", "safety.mode_machine": [7]})
+    assert rollout("demo", config=config, seconds=0.1).summary().termination.reason == ""
 
 
 @pytest.mark.slow

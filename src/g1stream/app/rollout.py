@@ -14,7 +14,7 @@ from typing import Final, get_args
 from g1stream._version import __version__
 from g1stream.app.session import Session
 from g1stream.app.sim import make_world
-from g1stream.config import Config, load_config
+from g1stream.config import Config, SafetyConfig, load_config
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import Plan, plan
 from g1stream.dds.log_handler import LogHandler
@@ -67,12 +67,13 @@ def rollout(
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        support: how the pelvis is held; if None `config.sim.support`, by default bolted, and free
-            with a policy. With `feet` nothing holds it, and the loop balances the robot (extra
-            `feet`).
+        support: how the pelvis is held; if None free with a policy, otherwise
+            `config.sim.support`, by default bolted. With `feet` nothing holds it, and the loop
+            balances the robot (extra `feet`).
         feedforward: what commands contain beside positions; if None `config.stream.feedforward`,
             by default dynamics, and velocity for support "free".
-        config: all settings; the defaults if None. `dds` and `realtime` have no effect.
+        config: all settings; the defaults if None. `dds`, `realtime`, `safety.deadman` and
+            `safety.mode_machine` have no effect.
         seconds: how much of the motion to play; `config.stream.duration` if None.
         joints: joints that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: support that the simulated robot announces, if it shall differ from the real one.
@@ -163,6 +164,10 @@ def _resolve(
         )
         support, feedforward = "free", feedforward or "dynamics"
     support = support or config.sim.held_by
+    # The simulated robot has no remote, and the mode_machine of its kind.
+    robots = SafetyConfig().mode_machine
+    safety = config.safety.model_copy(update={"deadman": None, "mode_machine": robots})
+    config = config.model_copy(update={"safety": safety})
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
     config = load_config(
         over=config.model_dump()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.app.arming import confirm_arming, require_arming
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
-from g1stream.config import Config, RecordConfig, SafetyConfig
+from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
 from g1stream.control.wire_settings import for_wire
@@ -234,11 +234,7 @@ def _rehearse(motion: Motion | str | Path, config: Config) -> None:
     level = logger.level
     logger.setLevel(logging.CRITICAL)  # the rehearsal's events are not the stream's
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
-    # The simulated robot has no remote, and the mode_machine of its kind.
-    safety = config.safety.model_copy(
-        update={"deadman": None, "mode_machine": SafetyConfig().mode_machine}
-    )
-    asked = config.model_copy(update={"stream": standing, "safety": safety})
+    asked = config.model_copy(update={"stream": standing})
     try:
         reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
     finally:

@@ -66,6 +66,9 @@ def test_motions_on_a_web_server(motions, served):
     assert set(find_motions([f"{served}/"])) == {f"{served}/{name}" for name in NAMES}
     with local_copy(f"{served}/first.npz") as path:
         assert path.read_bytes() == (motions / "first.npz").read_bytes()
+    (motions / "below" / ".g1stream-library").touch()
+    assert find_motions([f"{served}/below/"]) == []
+    (motions / "below" / ".g1stream-library").unlink()
     with pytest.raises(ConfigError):
         find_motions([f"{served}/gone.npz"])
     with pytest.raises(MotionError):

@@ -53,7 +53,7 @@ OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
 #: Settings without effect on a simulation: DDS, scheduling and recording. Parameters are identified
 #: by their content, not by their path.
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
-#: Maximum length of a motion's name in a file name, characters of up to 4 bytes.
+#: Maximum length of a motion's name in the name of a file, which has up to 255 bytes, characters.
 _LONGEST_NAME: Final = 50
 #: Links of a picture's stick figure, a line each.
 _LIMBS: Final = (
@@ -240,8 +240,6 @@ def _contents_at(location: str) -> list[tuple[str, Content]]:
         whole = content_hash(file)
     except MotionError as error:
         return [(location, Content("", error.cause))]
-    except MemoryError:
-        return [(location, Content("", "There is not enough memory to list its motions."))]
     if not members:
         return [(file, Content(whole))]
     hashes = {one: sha256(f"{whole} {one}".encode()).hexdigest() for one in members}

@@ -96,14 +96,14 @@ def _below_url(url: str) -> list[str]:
             raise FileNotFoundError("it does not exist")
         _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
         paths = files.find(root)
+        if not _motions_among(paths) and files.isfile(root):
+            return [url]  # a directory on a web server is a file, too
         libraries = tuple(path.removesuffix(LIBRARY) for path in paths if path.endswith(LIBRARY))
         found = [
             path
             for path in _motions_among(paths)
             if "/." not in f"/{path.removeprefix(root)}" and not path.startswith(libraries)
         ]
-        if not found and files.isfile(root):  # a directory on a web server is a file, too
-            return [url]
         return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]
     except ImportError as error:  # for example s3fs for s3, aiohttp for http
         raise ConfigError(f"{url} cannot be read: {error}.", "Install that package.") from error
@@ -122,7 +122,8 @@ def motions_at(location: str) -> tuple[str, tuple[str, ...]]:
     if "://" not in location and (file := find_motion(location)).member:
         return str(file.path), (file.member,)
     if _path(location).suffix.lower() in _SEVERAL:
-        with suppress(G1StreamError), local_copy(location) as path:  # reported when it is read
+        # Errors are reported when the file is read.
+        with suppress(G1StreamError, MemoryError), local_copy(location) as path:
             names = motions_in(find_motion(path))
             return location, names if len(names) > 1 else ()
     return location, ()

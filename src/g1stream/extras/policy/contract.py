@@ -31,10 +31,10 @@ from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, listed, table
 from g1stream.types import Floats
 
-__all__ = ["DEFAULT_RATE", "PolicyContract", "Term", "read_contract", "recorded_contract"]
+__all__ = ["RATE_ASSUMED", "PolicyContract", "Term", "read_contract", "recorded_contract"]
 
-DEFAULT_RATE: Final = "assumed: default of whole_body_tracking and mjlab"
-"""Origin of a rate that no file has."""
+RATE_ASSUMED: Final = "assumed: default of whole_body_tracking and mjlab"
+"""Origin of the rate if no file has it."""
 
 _LABEL: Final = 16
 #: Larger values are an error: N·m/rad, N·m·s/rad, and rad for an action of 1.
@@ -267,7 +267,7 @@ def _sources(network: Network) -> Iterator[_Facts]:
         yield _facts(str(own), lambda: _of_toml(own))
     if "observation_names" in network.metadata:
         yield _facts(told, lambda: _of_tracking(network.metadata))
-        yield _Facts(DEFAULT_RATE, {"rate": 50.0})
+        yield _Facts(RATE_ASSUMED, {"rate": 50.0})
     elif "dof_names" in network.metadata:
         yield _facts(told, lambda: _of_holosoma(network.metadata))
     deploy = network.path.with_name("deploy.yaml")

@@ -287,8 +287,9 @@ def _observations(
 def _references(session: Session, steps: PolicyStream) -> list[int]:
     """Index of the Reference that each step observed, -1 if that was not published.
 
-    It is some ticks after the Reference of the step's command. If several have its motion time,
-    as before and after a motion, it is as many ticks after as where one has it.
+    It is some ticks after the Reference of the step's command. If several have the motion time of
+    the step, as before and after a motion, it is the one at the median distance in ticks of steps
+    with only one.
     """
     reference = session.reference
     beside = np.searchsorted(reference.publish_time, steps.publish_time)

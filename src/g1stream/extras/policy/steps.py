@@ -99,14 +99,17 @@ class Fall(Record, frozen=True):
     Attributes:
         time_s: time on the motion's clock.
         why: how the fall was detected.
-        signs: the first of each kind, the earliest first.
+        signs: the first of each kind, the earliest first; None if the session is a part that begins
+            after the fall. Then `time_s` is that of its first LowState.
     """
 
     time_s: float
     why: str
-    signs: list[Sign]
+    signs: list[Sign] | None
 
     def __str__(self) -> str:
+        if self.signs is None:
+            return f"The robot had fallen before this part: {self.why}."
         text = f"The robot fell at {self.time_s:.2f} s: {self.why}."
         if not self.signs:
             return f"{text} No value left its range in the {_WINDOW:g} s before."
@@ -183,7 +186,7 @@ def policy_steps(session: Session) -> PolicySteps | None:
     full = _at_limit(session)
     told, window = None, 0.0
     if fall and fall[0] <= begin:  # a part of a session, from after the fall
-        told, fall = Fall(time_s=fall[0], why=fall[1], signs=[]), None
+        told, fall = Fall(time_s=fall[0], why=fall[1], signs=None), None
     if fall:
         window = min(_WINDOW, 0.5 * (fall[0] - begin))
         traces = [*terms, _actions(steps, columns, contract), *_contacts(session, steps)]

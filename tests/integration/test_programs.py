@@ -86,7 +86,7 @@ def test_a_robot_stands_on_its_feet_and_squats_at_the_end(running, tmp_path, dom
     """Where the demo lifts its right foot, at 8.6 s."""
     pytest.importorskip("daqp")
     path = tmp_path / "feet.mcap"
-    part = ["--ramp", 1.5, "--start", 7.8, "--duration", 1.5, "--rate", 250, "--config", PATIENT]
+    part = ["--ramp", 1.5, "--start", 7.8, "--duration", 1.5, "--rate", 125, "--config", PATIENT]
     on_feet = ["stream", "demo", "--domain", domain_id, "--support", "feet", *part]
     with running("sim", "--domain", domain_id, "--support", "free"):
         done = run([*on_feet, "--record", path, "--json"])

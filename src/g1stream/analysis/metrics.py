@@ -306,9 +306,8 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
     if tracking is None or ended.motion_s is None:
         return completed, None
     asked = ended.motion_s - ended.start_s
-    stop = (summary.settings or {}).get("stream.duration")
-    if isinstance(stop, (int, float)):
-        asked = min(asked, float(stop))
+    if summary.requested_s is not None:
+        asked = min(asked, summary.requested_s)
     if (summary.settings or {}).get("stream.loop") or asked <= 0.0:
         return completed, None
     done = float(tracking.motion_time[-1]) - ended.start_s

@@ -210,6 +210,16 @@ class Summary(Record):
     stream: StreamSummary | None = None
 
     @property
+    def requested_s(self) -> float | None:
+        """Requested length of the motion, s; None if it is the whole motion.
+
+        With a policy the motion has been cut, and has standing before and after it.
+        """
+        settings = self.settings or {}
+        asked = None if settings.get("stream.policy") else settings.get("stream.duration")
+        return float(asked) if isinstance(asked, (int, float)) else None
+
+    @property
     def moves(self) -> bool:
         """Whether the pelvis moved as the robot did, or as the motion did, as far as is known."""
         if self.attached:
@@ -441,7 +451,7 @@ def _ended(summary: Summary) -> str:
     """How the session ended and how much was played; empty if both are unknown."""
     termination = summary.termination
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
-    asked = (summary.settings or {}).get("stream.duration")
+    asked = summary.requested_s
     rest = None if motion is None else motion - start
     whole = played is None or rest is None or abs(rest - played) < TO_ITS_END
     if termination.undamped_in is not None:
@@ -463,7 +473,7 @@ def _ended(summary: Summary) -> str:
     if played > rest:
         return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
     of = f"{motion:.1f} s"
-    if termination.reason and isinstance(asked, (int, float)) and asked < rest:
+    if termination.reason and asked and asked < rest:
         of = f"the requested {asked:.1f} s"
     return f"{how}; played {played:.1f} of {of}" + (f" from {start:.1f} s" if start else "")
 

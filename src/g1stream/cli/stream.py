@@ -144,7 +144,8 @@ class PlayCommand(LiveCommand):
     )
     anyway: bool = flag(
         False,
-        "Play a motion that exceeds joint limits at its own speeds (loopback interface only).",
+        "Play a motion that exceeds joint limits at its own speeds, or a policy whose first "
+        "actions are far from the motion (loopback interface only).",
         advanced=True,
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")

@@ -142,7 +142,8 @@ class FeedForward:
         text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
         if unknown:
             text += " only: the support is unknown; give --support"
-        _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
+        if not (self._torques and self._torques.reference_only):  # a policy gives no torque
+            _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
         if self.kind == "dynamics" and self._torques and self.support:
             self.source = self._torques
             self.source.begin(self.support, announced, robot)

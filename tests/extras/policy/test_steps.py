@@ -401,10 +401,13 @@ def test_after_an_early_end_the_observations_are_those_of_the_way_down(monkeypat
             loops[0].request_stop("SIGINT")
 
     monkeypatch.setattr("g1stream.app.rollout.make_loop", kept)
-    session = g1stream.rollout(DANCE, policy=UNITREE, config=config(), noise=stopping)
+    session = g1stream.rollout(DANCE, policy=UNITREE, config=config(duration=4.0), noise=stopping)
     assert session.summary().termination.reason == "SIGINT"
+    # 4 s, and 0.5 s of standing and 1 s of blend at each end. It is ended after 1.5 s of these.
+    assert session.metrics().success.progress == pytest.approx(1.5 / 7.0, abs=0.02)
     replayed = replay_policy(session)
-    assert replayed.rebuilt == len(session.policy)
+    down = next(one.start_s for one in session.phases if one.phase is Phase.HOLD)
+    assert (session.policy.time < down).sum() - 5 < replayed.rebuilt < len(session.policy)
     assert replayed.same
 
 

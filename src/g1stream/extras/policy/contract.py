@@ -424,7 +424,7 @@ def _of_deploy(path: Path) -> dict[str, Any]:
     for key, usual in (("clip", None), ("joint_ids", [*range(N_JOINTS)])):
         if _at(action, key) not in (None, usual):
             raise ConfigError(
-                f"According to {path}, the actions have {key} of their own, which is not "
+                f"{path} has {key} for its actions (actions.JointPositionAction), which is not "
                 "supported.",
                 "Give a policy that was trained without it.",
             )

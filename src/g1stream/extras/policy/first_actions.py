@@ -150,9 +150,9 @@ def _check_same(
     difference = float(np.sqrt(np.mean((ours - theirs) ** 2)))
     if difference > _SAME:
         raise ConfigError(
-            f"The policy {contract.path} contains another motion: it differs by "
-            f"{difference:.2f} rad (RMS) in the first seconds.",
-            "Give the motion of the training, or none.",
+            f"The policy {contract.path} contains another motion: its joint positions differ by "
+            f"{difference:.2f} rad (RMS) in the first seconds, more than {_SAME:g}.",
+            "Give the motion of the training; the policy's file is one, too.",
         )
 
 

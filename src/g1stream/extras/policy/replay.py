@@ -38,12 +38,16 @@ _SAME: Final = 1e-5
 _LABEL: Final = 16
 #: Most ticks between the Reference of a step and that of its command.
 _NEAR: Final = 64
+#: Most ticks by which that differs from step to step, as ticks are skipped.
+_APART: Final = 2
+#: References that differ by less are alike, rad, rad/s and m. A tick apart, they are the same.
+_ALIKE: Final = 3.0 * _SAME
 #: Motion times that differ by less are equal, s.
 _SAME_TIME: Final = 1e-6
 
 
 #: Reasons why observations cannot be recomputed.
-_LACKS: Final = "their LowState or Reference is not in the session"
+_LACKS: Final = "their LowState or Reference is not in the session or not known"
 _LATER: Final = "the session lacks a step since the policy took over"
 
 
@@ -285,25 +289,29 @@ def _observations(
 
 
 def _references(session: Session, steps: PolicyStream) -> list[int]:
-    """Index of the Reference that each step observed, -1 if that was not published.
+    """Index of a Reference like the one that each step observed, -1 if none is known.
 
-    It is some ticks after the Reference of the step's command. If several have the motion time of
-    the step, as before and after a motion, it is the one at the median distance in ticks of steps
-    with only one.
+    The observed one is some ticks after that of the step's command, and has the motion time of the
+    step. If several have it, as before and after a motion, it is near the median distance in ticks
+    of the steps with only one. Which of these it is does not matter if they are alike. They are not
+    while the robot comes to rest after an early end.
     """
     reference = session.reference
+    columns = reference.q, reference.dq, reference.root_pos, reference.root_quat_wxyz
     beside = np.searchsorted(reference.publish_time, steps.publish_time)
     found = []
     for at, motion_time in zip(beside.tolist(), steps.motion_time.tolist(), strict=True):
         near = slice(max(0, at - _NEAR), at + _NEAR)
         same = np.abs(reference.motion_time[near] - motion_time) < _SAME_TIME
         found.append(np.flatnonzero(same & (reference.phase[near] >= Phase.PLAY)) + near.start)
-    shifts = [int(of[0] - at) for of, at in zip(found, beside, strict=True) if len(of) == 1]
-    usual = beside + round(median(shifts)) if shifts else beside
-    return [
-        int(of[np.abs(of - at).argmin()]) if len(of) else -1
-        for of, at in zip(found, usual, strict=True)
-    ]
+    single = [int(of[0] - at) for of, at in zip(found, beside, strict=True) if len(of) == 1]
+    usual = beside + round(median(single)) if single else beside
+    indices = []
+    for of, at in zip(found, usual, strict=True):
+        likely = of if len(of) == 1 else of[np.abs(of - at) <= _APART]
+        alike = len(likely) and all(np.ptp(one[likely], axis=0).max() < _ALIKE for one in columns)
+        indices.append(int(likely[np.abs(likely - at).argmin()]) if alike else -1)
+    return indices
 
 
 def _found(times: Any, wanted: Any) -> list[int]:

@@ -98,8 +98,9 @@ def timestamped(path: Path, now_ns: int) -> Path:
     Raises:
         RecordingError: the path has no name, such as `.`.
     """
-    if not path.name:
-        raise RecordingError(f"{path} is a directory.", "Give the path of a file.")
+    with output_errors(path):
+        if not path.name:
+            raise IsADirectoryError
     now = datetime.fromtimestamp(now_ns // 1_000_000_000, timezone.utc)
     return path.with_name(f"{path.stem}-{now:%Y%m%dT%H%M%SZ}{path.suffix}")
 

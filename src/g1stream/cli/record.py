@@ -68,7 +68,8 @@ class Record(LiveCommand):
                 "Add --live, or add the motion to the file later with g1stream attach.",
             )
         motion = load_motion(self.motion) if self.motion is not None else None
-        print_warning(*(motion.warnings if motion else ()))
+        if motion:
+            print_warning(*motion.warnings)
 
         def on_ready() -> None:
             announce_wire(config, commands=False)

@@ -122,8 +122,8 @@ class FeedForward:
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
-        if self._torques and self._torques.reference_only:
-            # What it observes is the Reference of a later tick.
+        observed = self._torques is not None and self._torques.reference_only
+        if observed:  # the target is observed, and must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
         self.kind, self.support = self._asked, self._told_support
         if self._onboard:
@@ -142,7 +142,7 @@ class FeedForward:
         text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
         if unknown:
             text += " only: the support is unknown; give --support"
-        if not (self._torques and self._torques.reference_only):  # a policy gives no torque
+        if not observed:  # a policy gives no torque
             _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
         if self.kind == "dynamics" and self._torques and self.support:
             self.source = self._torques

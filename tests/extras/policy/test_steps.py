@@ -389,14 +389,13 @@ def test_a_part_that_begins_after_the_fall(falling, monkeypatch):
 
 @needs_policies
 def test_after_an_early_end_the_observations_are_those_of_the_way_down(monkeypatch):
-    loops, states = [], []
+    loops = []
 
     def kept(*arguments, **others):
         loops.append(make_loop(*arguments, **others))
         return loops[0]
 
-    def stopping(state):
-        states.append(state)
+    def stopping(_):
         if loops[0].motion_time > 1.5 and not loops[0].stop_requests:
             loops[0].request_stop("SIGINT")
 

@@ -96,12 +96,13 @@ def _below_url(url: str) -> list[str]:
             raise FileNotFoundError("it does not exist")
         _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
         paths = files.find(root)
-        if not _motions_among(paths) and files.isfile(root):
+        motions = _motions_among(paths)
+        if not motions and files.isfile(root):
             return [url]  # a directory on a web server is a file, too
         libraries = tuple(path.removesuffix(LIBRARY) for path in paths if path.endswith(LIBRARY))
         found = [
             path
-            for path in _motions_among(paths)
+            for path in motions
             if "/." not in f"/{path.removeprefix(root)}" and not path.startswith(libraries)
         ]
         return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]

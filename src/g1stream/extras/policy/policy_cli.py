@@ -81,7 +81,8 @@ class Policy(Command):
         network = Network(file)
         contract = read_contract(network)
         motion = load_motion(self.motion) if self.motion else None
-        print_warning(*(motion.warnings if motion else ()))
+        if motion:
+            print_warning(*motion.warnings)
         actions = first_actions(contract, network, G1.default(), motion)
         if self.json:
             first = actions.model_dump(mode="json") if actions else None

@@ -40,7 +40,8 @@ _LABEL: Final = 16
 _NEAR: Final = 64
 #: Most ticks by which that differs from step to step, as ticks are skipped.
 _APART: Final = 2
-#: References that differ by less are alike, rad, rad/s and m. A tick apart, they are the same.
+#: References within `_APART` ticks that differ by less are alike, rad, rad/s and m: those of two
+#: successive ticks then differ by less than `_SAME`.
 _ALIKE: Final = 3.0 * _SAME
 #: Motion times that differ by less are equal, s.
 _SAME_TIME: Final = 1e-6

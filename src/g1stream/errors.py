@@ -15,6 +15,8 @@ exits with code 2, so a traceback always means a bug in g1stream.
 Both may quote a file or a peer on DDS, so control characters in them are escaped.
 """
 
+from __future__ import annotations
+
 from g1stream.text import printable
 
 __all__ = [
@@ -42,6 +44,10 @@ class G1StreamError(Exception):
         self.cause = printable(cause)
         self.remedy = printable(remedy)
         super().__init__(f"{self.cause} {self.remedy}")
+
+    def __reduce__(self) -> tuple[type[G1StreamError], tuple[str, str]]:
+        """Pickle both sentences, so that a pool of processes can raise the error in its parent."""
+        return type(self), (self.cause, self.remedy)
 
 
 class ConfigError(G1StreamError):

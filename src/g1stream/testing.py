@@ -218,7 +218,7 @@ def dask_cluster(
         workers: number of workers.
 
     Yields:
-        The scheduler's address, its process, and the processes of the workers.
+        The scheduler's address, its process, and the processes that started the workers.
     """
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory, "scheduler.json")
@@ -241,7 +241,7 @@ def dask_cluster(
                     raise RuntimeError(f"dask scheduler ended with code {head.returncode}")
                 time.sleep(0.05)
             address = json.loads(file.read_text())["address"]
-            worker = ("worker", address, "--no-nanny", "--nthreads", str(threads))
+            worker = ("worker", address, "--nthreads", str(threads))
             many += [start(*worker) for _ in range(workers)]
             yield address, head, many
         finally:

@@ -161,9 +161,10 @@ def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, un
 def test_processes_that_are_killed_lose_nothing(many, tmp_path):
     process = start("check", many, "-o", tmp_path, "--workers", 2, "--json")
     process.stdout.readline()
-    for pid in processes_of(process.pid):
-        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-            os.kill(pid, signal.SIGKILL)
+    processes = processes_of(process.pid)
+    assert len(processes) == 2
+    for pid in processes:
+        os.kill(pid, signal.SIGKILL)
     _, errors = process.communicate(timeout=100)
     assert process.returncode == 0, errors
     assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 40

@@ -2,23 +2,28 @@
 
 A motion file that crashes its reader does not stop the program. Each thread that calls `limited`
 has one process, which is kept for the next call and replaced when it has ended.
+
+Pools of processes share locks between them, and wait for a lock that a killed process held. Here
+each process has a pipe of its own, which the system closes. `multiprocessing.Process` would import
+the user's script again, and refuse to start below a worker of Dask with a nanny.
 """
 
 from __future__ import annotations
 
 import os
 import resource
-import signal
+import subprocess
+import sys
 import threading
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from g1stream.errors import G1StreamError
-from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,93 +65,119 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
 
     Args:
         limits: limits of time and memory.
-        function: function of a module. It, its arguments and its result are pickled.
+        function: function of a module. It, its arguments, its result and its exception are pickled.
         args: arguments of the function.
 
     Raises:
         TooSlowError: it exceeded the time limit.
         CrashedError: its process ended twice.
         CancelledError: `end_processes` was called meanwhile.
-        ConfigError: the extra `library` is not installed.
+        OSError: the system cannot start a process.
     """
-    pebble = import_extra("pebble", "library", "A library needs")
     for _ in range(2):
-        pool, future = _pool_of_thread(limits), None
+        process = _process_of_thread(limits)
         try:
-            future = pool.schedule(function, args=args, timeout=limits.seconds)
-            _RUNNING.add(future)
-            result: T = future.result()
-        except FutureTimeoutError:
-            raise TooSlowError(
-                f"It took longer than {limits.seconds:g} s.", "Raise --time-limit."
-            ) from None
-        except pebble.ProcessExpired:
+            process.wait_until_ready()
+            process.connection.send((function, args))
+            in_time = process.connection.poll(limits.seconds)
+            result, error = process.connection.recv() if in_time else (None, None)
+        except (EOFError, OSError):  # the process has ended
+            if process not in _RUNNING:
+                raise CancelledError from None
+            process.end()
             continue
-        except RuntimeError:
-            if pool.active or pool not in _POOLS:
-                raise
-            _end(pool)  # a process killed during its start breaks a pool permanently
-            continue
-        finally:
-            _RUNNING.discard(future)
-        return result
+        if not in_time:
+            process.end()
+            raise TooSlowError(f"It took longer than {limits.seconds:g} s.", "Raise --time-limit.")
+        if error:
+            raise error
+        return cast("T", result)
     raise CrashedError(
         "The process that computed it crashed, twice.",
         "Read the file with `g1stream motion`, and report the result.",
     )
 
 
+class _Process:
+    """A process that makes the calls of one thread."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits, self._ready = limits, False
+        self.connection, theirs = Pipe()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(theirs.fileno()), str(limits.megabytes)],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=2,  # output of other libraries must not mix with --json
+                # The matrices are small; BLAS threads would take time from other processes.
+                env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
+                start_new_session=True,  # Ctrl-C in the terminal is for the parent
+            )
+
+    def wait_until_ready(self) -> None:
+        if not self._ready:
+            self.connection.recv()
+            self._ready = True
+
+    def end(self) -> None:
+        """Kill the process. The connection stays open, because its thread may wait for it."""
+        _RUNNING.discard(self)
+        self._process.kill()
+        self._process.wait()
+
+
 _THREAD = threading.local()
-_POOLS: Final[set[Any]] = set()
-_RUNNING: Final[set[Any]] = set()
+_RUNNING: Final[set[_Process]] = set()
 
 
-def _pool_of_thread(limits: Limits) -> Any:
-    """The thread's pool of one process; a new one for other limits."""
-    from pebble import ProcessPool
-
-    pool, made_for = getattr(_THREAD, "pool", (None, None))
-    if pool is None or pool not in _POOLS or made_for != limits:
-        if pool in _POOLS:
-            _end(pool)
-        # The matrices are small; a pool of BLAS threads would take time from other processes.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        megabytes = (limits.megabytes,)
-        pool = ProcessPool(1, initializer=_begin, initargs=megabytes, context=get_context("spawn"))
-        _POOLS.add(pool)
-        _THREAD.pool = pool, limits
-    return pool
-
-
-def _end(pool: Any) -> None:
-    _POOLS.discard(pool)
-    pool.stop()
-    pool.join()
+def _process_of_thread(limits: Limits) -> _Process:
+    """The thread's process; a new one for other limits."""
+    process: _Process | None = getattr(_THREAD, "process", None)
+    if process in _RUNNING and process.limits == limits:
+        return process
+    if process:
+        process.end()
+    _THREAD.process = process = _Process(limits)
+    _RUNNING.add(process)
+    return process
 
 
 def end_processes() -> None:
     """End the processes of all threads; their computations are lost."""
-    for future in list(_RUNNING):
-        future.cancel()
-    for pool in list(_POOLS):
-        _end(pool)
+    for process in list(_RUNNING):
+        process.end()
 
 
-def _begin(megabytes: float) -> None:
-    """Initialise a process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the parent
-    os.dup2(2, 1)  # output of other libraries must not mix with --json
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def _make_calls(parent: Connection, megabytes: float) -> None:
+    """Make the calls of the parent, in the child process, until the parent ends."""
+    calls: SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = SimpleQueue()
+    threading.Thread(target=_receive, args=(parent, calls), daemon=True).start()
     for module in ("g1stream.extras.library.compute", "mujoco", "scipy.interpolate"):
         import_module(module)  # not within the time and memory limits of the first call
     # In the unit of RLIMIT_DATA (proc(5), statm): private writable memory.
     own = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
     most = own + round(megabytes * 1e6)
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    parent.send("ready")
+    while True:
+        function, args = calls.get()
+        result, failure = None, None
+        try:
+            result = function(*args)
+        except Exception as error:
+            failure = error
+        parent.send((result, failure))
 
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent
-    connection.wait([parent.sentinel])
-    os._exit(1)
+def _receive(parent: Connection, calls: SimpleQueue[Any]) -> None:
+    """Receive the calls in a thread, which notices the parent's end during a call."""
+    try:
+        while True:
+            calls.put(parent.recv())
+    finally:
+        os._exit(1)
+
+
+if __name__ == "__main__":
+    _make_calls(Connection(int(sys.argv[1])), float(sys.argv[2]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -118,8 +117,7 @@ def run_library(
     """Compute the rows of all motions below some places, write them continuously, then a page.
 
     Existing rows with the same content, settings and versions are not computed again. Written rows
-    are kept however the run ends, and the same call continues it. A script that calls this needs
-    `if __name__ == "__main__":`, because its processes import it.
+    are kept however the run ends, and the same call continues it.
 
     Args:
         places: directories, files and URLs.
@@ -290,7 +288,7 @@ def open_executor(
 
     Raises:
         ConfigError: the extra `cluster` is not installed, there is no scheduler, or its workers
-            lack g1stream, have another version, or cannot start processes.
+            lack g1stream or have another version.
     """
     if cluster:
         with _client(cluster, warn, stop) as client:
@@ -329,26 +327,21 @@ def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool])
         if not client.nthreads():
             warn(
                 f"The scheduler {cluster} has no workers: waiting for workers. Start them with "
-                f"`dask worker {cluster} --no-nanny`, one for each machine."
+                f"`dask worker {cluster}`, one for each machine."
             )
         while not client.nthreads() and not stop():
             time.sleep(_POLL)
         try:
-            workers = set(client.run(_about_worker).values())
+            versions = set(client.run(_version).values()) - {__version__}
         except Exception as error:  # any error of the worker
             raise ConfigError(
                 f"The workers of {cluster} cannot run g1stream: {error}.",
                 "Install g1stream on each of them.",
             ) from error
-        if versions := {version for version, _ in workers} - {__version__}:
+        if versions:
             raise ConfigError(
                 f"Workers of {cluster} have g1stream {', '.join(sorted(versions))}.",
                 f"Install g1stream {__version__} on each of them.",
-            )
-        if any(daemon for _, daemon in workers):
-            raise ConfigError(
-                f"The workers of {cluster} cannot start processes because of their nannies.",
-                "Start them with `dask worker --no-nanny`, one for each machine.",
             )
         yield client
 
@@ -363,9 +356,8 @@ async def _connected(cluster: str) -> None:
     await comm.close()
 
 
-def _about_worker() -> tuple[str, bool]:
-    """Version of g1stream, and whether this process may not start others."""
-    return __version__, multiprocessing.current_process().daemon
+def _version() -> str:
+    return __version__
 
 
 def completed(

@@ -607,7 +607,7 @@ POLICY: Final = [
             (
                 "an action or two are NaN",
                 "nan",
-                turns(IN_PLAY + 0.03),
+                turns(IN_PLAY + 0.02),  # one step of the policy, two if the robot is late
                 {"code": 0, "ends": False},
             ),
             ("actions take too long", "slow", turns(), {"alone": True, "handover_ms": inf}),

@@ -17,6 +17,9 @@ Both may quote a file or a peer on DDS, so control characters in them are escape
 
 from __future__ import annotations
 
+import copyreg
+from typing import Any
+
 from g1stream.text import printable
 
 __all__ = [
@@ -45,9 +48,12 @@ class G1StreamError(Exception):
         self.remedy = printable(remedy)
         super().__init__(f"{self.cause} {self.remedy}")
 
-    def __reduce__(self) -> tuple[type[G1StreamError], tuple[str, str]]:
-        """Pickle both sentences, so that a pool of processes can raise the error in its parent."""
-        return type(self), (self.cause, self.remedy)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without `__init__`, whose arguments `args` does not hold.
+
+        So a pool of processes can raise the error in its parent.
+        """
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class ConfigError(G1StreamError):

@@ -2,6 +2,7 @@ import threading
 import time
 
 import pandas as pd
+import psutil
 import pytest
 
 import g1stream
@@ -27,11 +28,17 @@ def test_the_result_is_that_of_one_machine(checked, motions, tmp_path):
 
 
 def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
-    case = g1stream.LibraryCase("check", tmp_path)
+    case, killed = g1stream.LibraryCase("check", tmp_path), []
+
+    def kill(row):
+        if not killed:
+            nanny = psutil.Process(workers[0].pid)
+            killed.extend(one for one in nanny.children() if "spawn_main" in str(one.cmdline()))
+            killed[0].kill()
+
     with dask_cluster(workers=2) as (address, _, workers):
-        run = g1stream.run_library(
-            [str(many)], [case], cluster=address, on_row=lambda row: workers[0].kill()
-        )
+        run = g1stream.run_library([str(many)], [case], cluster=address, on_row=kill)
+    assert len(killed) == 1
     assert (run.complete, run.failed, run.lost) == (True, 0, {})
     assert list(g1stream.open_library(tmp_path).motions["status"]) == ["ok"] * 40
 

@@ -42,8 +42,46 @@ def test_a_call_that_raises_or_crashes():
         limited(Limits(), os.stat, "/none")
     with pytest.raises(MotionError, match=r"A cause\. A remedy\."):
         limited(Limits(), exec, RAISING)
+    with pytest.raises(MemoryError):  # the bytes fit in the memory, but not with a copy of them
+        limited(Limits(megabytes=60.0), bytes, 40_000_000)
+    with pytest.raises(TypeError):  # an answer that cannot be pickled
+        limited(Limits(), threading.Lock)
+    assert limited(Limits(seconds=float("inf")), abs, -1) == 1
     with pytest.raises(CrashedError):
         limited(Limits(), os.abort)
+
+
+@pytest.mark.slow
+def test_an_answer_is_that_of_its_own_call():
+    def interrupt(number, frame):
+        raise ZeroDivisionError
+
+    before = signal.signal(signal.SIGUSR1, interrupt)
+    try:
+        pid = limited(Limits(), os.getpid)
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGUSR1)).start()
+        with pytest.raises(ZeroDivisionError):
+            limited(Limits(), time.sleep, 1.0)
+        assert limited(Limits(), os.getpid) not in (pid, None)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    with pytest.raises(AttributeError):  # the arguments cannot be pickled
+        limited(Limits(), abs, lambda: None)
+    with pytest.raises(TypeError):  # nor can the parent read the answer
+        limited(Limits(), eval, "type('Odd', (), {'__reduce__': lambda self: (len, ())})()")
+    assert limited(Limits(), abs, -1) == 1
+
+
+@pytest.mark.slow
+def test_a_process_that_cannot_start_is_no_fault_of_the_call(monkeypatch, tmp_path):
+    (tmp_path / "mujoco.py").write_text("raise SystemExit(3)")
+    with monkeypatch.context() as there:  # what lies in the working directory is not imported
+        there.chdir(tmp_path)
+        assert limited(Limits(), abs, -1) == 1
+    end_processes()
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(OSError, match="started"):
+        limited(Limits(), abs, -1)
 
 
 @pytest.mark.slow

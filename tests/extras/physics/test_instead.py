@@ -1,3 +1,4 @@
+import pickle
 import re
 
 import numpy as np
@@ -35,6 +36,12 @@ def test_the_longest_part_is_found_behind_several_obstacles(obstructed):
     ):
         with pytest.raises(CannotStandError) as raised:
             stand_part(obstructed, ROBOT, frames)
+        copy = pickle.loads(pickle.dumps(raised.value))  # as from a pool of processes
+        assert (type(copy), copy.cause, copy.remedy) == (
+            CannotStandError,
+            raised.value.cause,
+            raised.value.remedy,
+        )
         found = find_instead(obstructed, ROBOT, frames, raised.value)
         part = re.search(r"--start (\S+) --duration (\S+), the longest part", found)
         assert bool(part) == bool(expected)

@@ -11,10 +11,12 @@ the user's script again, and refuse to start below a worker of Dask with a nanny
 from __future__ import annotations
 
 import os
+import pickle
 import resource
 import subprocess
 import sys
 import threading
+import traceback
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from importlib import import_module
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 __all__ = ["CrashedError", "Limits", "TooSlowError", "end_processes", "limited"]
 
 T = TypeVar("T")
+
+#: Longest timeout for poll(2), which takes 24 days at most, s.
+_LONGEST_POLL: Final = 1e6
 
 
 class TooSlowError(G1StreamError):
@@ -72,26 +77,32 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
         TooSlowError: it exceeded the time limit.
         CrashedError: its process ended twice.
         CancelledError: `end_processes` was called meanwhile.
-        OSError: the system cannot start a process.
+        OSError: the system cannot start a process, or it ended twice before it was ready.
+        Exception: what the function raised.
     """
     for _ in range(2):
         process = _process_of_thread(limits)
         try:
             process.wait_until_ready()
             process.connection.send((function, args))
-            in_time = process.connection.poll(limits.seconds)
+            in_time = process.connection.poll(min(limits.seconds, _LONGEST_POLL))
             result, error = process.connection.recv() if in_time else (None, None)
         except (EOFError, OSError):  # the process has ended
             if process not in _RUNNING:
                 raise CancelledError from None
             process.end()
             continue
+        except BaseException:  # the next call would take the answer to this one
+            process.end()
+            raise
         if not in_time:
             process.end()
             raise TooSlowError(f"It took longer than {limits.seconds:g} s.", "Raise --time-limit.")
-        if error:
+        if error is not None:
             raise error
         return cast("T", result)
+    if not process.ready:
+        raise OSError("A process for the computation ended twice while it started.")
     raise CrashedError(
         "The process that computed it crashed, twice.",
         "Read the file with `g1stream motion`, and report the result.",
@@ -102,11 +113,14 @@ class _Process:
     """A process that makes the calls of one thread."""
 
     def __init__(self, limits: Limits) -> None:
-        self.limits, self._ready = limits, False
+        self.limits, self.ready = limits, False
         self.connection, theirs = Pipe()
         with theirs:
+            # The path of this process, as -m would add the working directory.
+            program = f"import sys; sys.path[:] = {sys.path}; from {__name__} import make_calls; "
+            program += f"make_calls({theirs.fileno()}, {limits.megabytes})"
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(theirs.fileno()), str(limits.megabytes)],
+                [sys.executable, "-c", program],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=2,  # output of other libraries must not mix with --json
@@ -116,9 +130,9 @@ class _Process:
             )
 
     def wait_until_ready(self) -> None:
-        if not self._ready:
+        if not self.ready:
             self.connection.recv()
-            self._ready = True
+            self.ready = True
 
     def end(self) -> None:
         """Kill the process. The connection stays open, because its thread may wait for it."""
@@ -144,13 +158,23 @@ def _process_of_thread(limits: Limits) -> _Process:
 
 
 def end_processes() -> None:
-    """End the processes of all threads; their computations are lost."""
+    """End the processes of all threads; their computations are lost.
+
+    A process that another thread is just starting is not ended.
+    """
     for process in list(_RUNNING):
         process.end()
 
 
-def _make_calls(parent: Connection, megabytes: float) -> None:
-    """Make the calls of the parent, in the child process, until the parent ends."""
+def make_calls(pipe: int, megabytes: float) -> None:
+    """Make the calls of the parent, in the child process, until the parent ends.
+
+    Args:
+        pipe: file descriptor of the child's end.
+        megabytes: as of `Limits`.
+    """
+    os.set_inheritable(pipe, False)  # the parent must notice the end of this process alone
+    parent = Connection(pipe)
     calls: SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]]] = SimpleQueue()
     threading.Thread(target=_receive, args=(parent, calls), daemon=True).start()
     for module in ("g1stream.extras.library.compute", "mujoco", "scipy.interpolate"):
@@ -162,12 +186,11 @@ def _make_calls(parent: Connection, megabytes: float) -> None:
     parent.send("ready")
     while True:
         function, args = calls.get()
-        result, failure = None, None
         try:
-            result = function(*args)
-        except Exception as error:
-            failure = error
-        parent.send((result, failure))
+            answer = pickle.dumps((function(*args), None))
+        except Exception as error:  # also one of pickling, for which the memory may not suffice
+            answer = pickle.dumps((None, error.with_traceback(None)))
+        parent.send_bytes(answer)
 
 
 def _receive(parent: Connection, calls: SimpleQueue[Any]) -> None:
@@ -175,9 +198,8 @@ def _receive(parent: Connection, calls: SimpleQueue[Any]) -> None:
     try:
         while True:
             calls.put(parent.recv())
-    finally:
-        os._exit(1)
-
-
-if __name__ == "__main__":
-    _make_calls(Connection(int(sys.argv[1])), float(sys.argv[2]))
+    except (EOFError, OSError):
+        pass
+    except BaseException:
+        traceback.print_exc()
+    os._exit(1)

@@ -39,6 +39,7 @@ __all__ = [
     "process_state",
     "publishing_for_ros2",
     "run_child",
+    "start_connected",
 ]
 
 #: Modules of the programs outside `g1stream.app`.
@@ -80,13 +81,25 @@ def _never() -> bool:
     return False
 
 
-def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
-    """Start a program; return the parent's end of the pipe, and the process."""
+def start_connected(
+    *arguments: str, pass_fds: Sequence[int] = ()
+) -> tuple[Connection, subprocess.Popen[bytes]]:
+    """Start Python connected by a pipe.
+
+    Args:
+        arguments: of Python; the file descriptor of the child's end is added to them.
+        pass_fds: other file descriptors that the child inherits.
+
+    Returns:
+        The parent's end of the pipe, and the process.
+
+    Raises:
+        OSError: the system cannot start a process.
+    """
     ours, theirs = Pipe()
-    module = _ELSEWHERE.get(name, f"g1stream.app.{name}")
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, str(theirs.fileno())],
+            [sys.executable, *arguments, str(theirs.fileno())],
             pass_fds=[theirs.fileno(), *pass_fds],
             stdin=subprocess.DEVNULL,
             stdout=2,  # output of libraries must not get into the parent's --json
@@ -123,7 +136,8 @@ class Child:
         self.name = name
         self._on_failure = on_failure
         try:
-            self._connection, self._process = _start(name, pass_fds)
+            module = _ELSEWHERE.get(name, f"g1stream.app.{name}")
+            self._connection, self._process = start_connected("-m", module, pass_fds=pass_fds)
         except OSError as error:
             raise ChildError(
                 f"g1stream {name} cannot be started: {error.strerror}.",

@@ -4,8 +4,8 @@ A motion file that crashes its reader does not stop the program. Each thread tha
 has one process, which is kept for the next call and replaced when it has ended.
 
 Pools of processes share locks between them, and wait for a lock that a killed process held. Here
-each process has a pipe of its own, which the system closes. `multiprocessing.Process` would import
-the user's script again, and refuse to start below a worker of Dask with a nanny.
+each process has a pipe of its own, which the system closes. `multiprocessing.Process` would refuse
+to start below a worker of Dask with a nanny.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from __future__ import annotations
 import os
 import pickle
 import resource
-import subprocess
 import sys
 import threading
 import traceback
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing.connection import Connection, Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
+from g1stream.child_process import start_connected
 from g1stream.errors import G1StreamError
 
 if TYPE_CHECKING:
@@ -114,20 +114,10 @@ class _Process:
 
     def __init__(self, limits: Limits) -> None:
         self.limits, self.ready = limits, False
-        self.connection, theirs = Pipe()
-        with theirs:
-            # The path of this process, as -m would add the working directory.
-            program = f"import sys; sys.path[:] = {sys.path}; from {__name__} import make_calls; "
-            program += f"make_calls({theirs.fileno()}, {limits.megabytes})"
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", program],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=2,  # output of other libraries must not mix with --json
-                # The matrices are small; BLAS threads would take time from other processes.
-                env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-                start_new_session=True,  # Ctrl-C in the terminal is for the parent
-            )
+        # The path of this process, as -m would add the working directory.
+        program = f"import sys; sys.path[:] = {sys.path}; from {__name__} import make_calls; "
+        program += f"make_calls(int(sys.argv[1]), {limits.megabytes})"
+        self.connection, self._process = start_connected("-c", program)
 
     def wait_until_ready(self) -> None:
         if not self.ready:

@@ -68,7 +68,7 @@ def parts() -> dict[str, Callable[[int], object]]:
     state.mode_machine[()], state.motor_mode = 5, 1
     state.quaternion[:], state.accelerometer[:] = imu.quat_wxyz, imu.accelerometer
 
-    checks.begin()
+    checks.begin("hanging")
     published = count()
 
     def publish() -> int:

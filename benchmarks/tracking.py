@@ -59,8 +59,8 @@ KINDS: tuple[FeedForwardKind, ...] = ("none", "velocity", "dynamics")
 NEAREST = "30 Hz nearest frame"
 SEED = 5
 SHOWN = ("left_knee_joint", "waist_pitch_joint", "right_elbow_joint")
-#: Without the stops that a swinging or badly followed robot would run into.
-SETTINGS = {"safety.max_tilt": 3.1, "safety.max_joint_speed": 1e3, "stream.hold": 0.0}
+#: Without the stop that a badly followed robot would run into.
+SETTINGS = {"safety.max_joint_speed": 1e3, "stream.hold": 0.0}
 
 
 class Cell(NamedTuple):

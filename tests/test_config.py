@@ -10,9 +10,15 @@ from pathlib import Path
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 
-from g1stream.config import SHIPPED, Config, load_config, settings
+from g1stream.config import (
+    SHIPPED,
+    Config,
+    DdsConfig,
+    SafetyConfig,
+    load_config,
+    settings,
+)
 from g1stream.control.lowstate import STATE_TIMEOUT
-from g1stream.control.wire_settings import for_wire
 from g1stream.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]
@@ -177,18 +183,23 @@ def test_a_shipped_file_is_found_by_name_unless_there_is_a_file_of_that_name(tmp
     assert load_config("robot").dds.domain == 7
 
 
-def test_sim_toml_is_made_of_the_fields():
-    path = ROOT / "tools" / "make_sim_toml.py"
-    spec = importlib.util.spec_from_file_location("make_sim_toml", path)
+def test_the_shipped_files_are_made_of_the_fields():
+    path = ROOT / "tools" / "make_configs.py"
+    spec = importlib.util.spec_from_file_location("make_configs", path)
     tool = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tool)
-    assert tool.sim_toml() == (SHIPPED / "sim.toml").read_text(), "run tools/make_sim_toml.py"
+    assert {name: tool.config_toml(name) for name in ("sim", "robot")} == {
+        path.stem: path.read_text() for path in SHIPPED.glob("*.toml")
+    }, "run tools/make_configs.py"
+
+
+#: Every value of sim.toml as if a user had given it.
+ACTIVE = re.sub(r"^#(?=\w+ = )", "", (SHIPPED / "sim.toml").read_text(), flags=re.MULTILINE)
 
 
 def test_sim_toml_is_the_defaults_and_its_examples_are_accepted(write):
-    text = (SHIPPED / "sim.toml").read_text()
-    assert load_config(write(text)) == Config()
-    with_examples = load_config(write(re.sub(r"^#(?=\w+ = )", "", text, flags=re.MULTILINE)))
+    assert load_config("sim") == Config()
+    with_examples = load_config(write(ACTIVE))
     for key in settings():
         table, _, name = key.rpartition(".")
         owner = getattr(with_examples, table) if table else with_examples
@@ -218,6 +229,50 @@ def test_a_built_wheel_finds_its_configs(tmp_path):
     assert margin == load_config("robot").safety.position_margin > 0.0
 
 
+@pytest.mark.parametrize("interface", ["eth0", "wlan0"])
+def test_on_a_network_what_is_not_given_is_the_robots(write, interface):
+    robot = load_config("robot")
+    given = {"dds": {"interface": interface}}
+    config = Config.model_validate(
+        given | {"safety": {"max_leap": 0.4}, "stream": {"feedforward": None, "rate": 250.0}}
+    )
+    assert config.profile == "robot"
+    assert config.safety == robot.safety.model_copy(update={"max_leap": 0.4})
+    assert config.stream == robot.stream.model_copy(update={"rate": 250.0})
+    assert Config.model_validate(config.model_dump()) == config
+    text = f"[dds]\ninterface = '{interface}'\n[safety]\nmax_leap = 0.4\n[stream]\nrate = 250"
+    assert load_config(write(text)) == config
+    made = Config(dds=DdsConfig(interface=interface), safety=SafetyConfig(max_leap=0.4))
+    assert made.safety == config.safety
+    assert [(one.key, one.value, one.robot) for one in config.wider_than_robot()] == [
+        ("safety.max_leap", 0.4, 0.1)
+    ]
+    assert Config(profile="robot").safety == robot.safety  # a rehearsal on the loopback
+    assert load_config("sim", {"dds.interface": interface}).profile == "simulator"
+
+
+def test_each_value_that_is_less_careful_than_the_robots_is_named(write):
+    """A copy of the whole sim.toml, without its profile, on a network."""
+    config = load_config(write(ACTIVE.replace("profile =", "#")), {"dds.interface": "eth0"})
+    assert config.profile == "robot"
+    simulator, robot = load_config("sim"), load_config("robot")
+    differ = {
+        f"{name}.{key}"
+        for name in ("stream", "safety")
+        for key, value in getattr(simulator, name)
+        if value != getattr(getattr(robot, name), key)
+    }
+    as_a_robot = {"stream.feedforward", "stream.time_scale"}  # their examples are its values
+    wider = {one.key for one in config.wider_than_robot()}
+    assert wider == differ - as_a_robot
+    assert len(wider) == 26
+    careful = {"safety.max_tilt": 0.4, "safety.min_voltage": 45.0, "stream.ramp": 9.0}
+    assert load_config("robot", careful).wider_than_robot() == []
+    dangerous = {"safety.allow_second_writer": True, "safety.stop_buttons": ["select"]}
+    found = load_config("robot", dangerous).wider_than_robot()
+    assert {one.key for one in found} == set(dangerous)
+
+
 def test_robot_toml_is_more_careful_than_the_defaults():
     default, robot = Config(), load_config("robot")
     assert (robot.dds.domain, robot.dds.interface) == (0, "eth0")
@@ -226,8 +281,8 @@ def test_robot_toml_is_more_careful_than_the_defaults():
     assert robot.stream.damp > default.stream.damp
     assert robot.safety.position_margin > default.safety.position_margin
     assert robot.safety.state_timeout == STATE_TIMEOUT
-    assert for_wire(default).safety.state_timeout == 0.5  # loopback: a simulator
-    assert robot.safety.max_tilt < default.safety.max_tilt
+    assert default.safety.state_timeout == 0.5
+    assert robot.safety.tilt_limit("hanging") < default.safety.tilt_limit("free")
     assert robot.safety.max_joint_speed < default.safety.max_joint_speed
     assert robot.safety.mode_machine == (5,)
     assert not robot.safety.allow_second_writer

@@ -9,13 +9,24 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from g1stream.errors import ConfigError
 from g1stream.files import read_file
 from g1stream.input_limits import SETTINGS_FILE
+from g1stream.network import is_local_only
 from g1stream.types import (
     STREAM_RATE,
     BeyondLimits,
@@ -23,6 +34,7 @@ from g1stream.types import (
     FeedForwardKind,
     OnboardMode,
     OtherJoints,
+    Profile,
     StreamSupport,
     Support,
     Via,
@@ -54,6 +66,7 @@ __all__ = [
     "SimConfig",
     "StreamConfig",
     "Table",
+    "WiderValue",
     "accepted",
     "load_config",
     "read_table",
@@ -64,6 +77,12 @@ __all__ = [
 
 #: The highest gains that can be configured, N·m/rad and N·m·s/rad. No G1 is run with higher ones.
 _MAX_KP, _MAX_KD = 500.0, 50.0
+
+#: Pelvis tilt that ends a session where nothing holds the robot, rad: Unitree's own threshold.
+_FALLEN: Final = 1.0
+#: As above where something holds the robot, or where that is not known, rad. Two LAFAN1 dances
+#: swing a robot on unitree_mujoco's band by up to 2.0 rad; at pi, it is upside down.
+_OVERTURNED: Final = 2.6
 
 #: Groups of commands that share flags: they use DDS, play a motion or write a session file.
 _ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
@@ -89,11 +108,13 @@ def setting(
     advanced: bool = False,
     metavar: str = "",
     example: Any = None,
+    robot: Any = None,
+    dangerous: bool = False,
     **limits: Any,
 ) -> Any:
     """Declare a setting as a field of a table.
 
-    The validation, the flag, the help and the lines in configs/sim.toml are derived from it.
+    The validation, the flag, the help and the lines in configs/*.toml are derived from it.
 
     Args:
         default: value without a config file and a flag; None for a setting that is unset.
@@ -103,9 +124,13 @@ def setting(
         advanced: show the flag only in --help-all.
         metavar: placeholder for the flag's value, if neither unit nor type describes it.
         example: a value to show if there is no default.
+        robot: value with the profile `robot`, if it is not the default; docs/safety.md has the
+            reasons.
+        dangerous: any other value than the default is less careful.
         limits: `ge`, `gt`, `le`, `lt` and the other constraints of pydantic.
     """
     about: Any = {"unit": unit, "flag": flag, "advanced": advanced, "metavar": metavar}
+    about |= {"dangerous": dangerous, "robot": default if robot is None else robot}
     examples = None if example is None else [example]
     return Field(
         default, description=description, examples=examples, json_schema_extra=about, **limits
@@ -169,9 +194,15 @@ class StreamConfig(Table):
         advanced=True,
         ge=0.2,
         le=60.0,
+        robot=6.0,
     )
     soft_start: float = setting(
-        0.0, "duration of damping, without position control, before the ramp", "s", ge=0.0, le=10.0
+        0.0,
+        "duration of damping, without position control, before the ramp",
+        "s",
+        ge=0.0,
+        le=10.0,
+        robot=0.5,
     )
     ramp_speed: float = setting(
         1.5,
@@ -179,9 +210,24 @@ class StreamConfig(Table):
         "rad/s",
         ge=0.01,
         le=10.0,
+        robot=0.5,
     )
-    hold: float = setting(1.0, "time at the last frame", "s", ge=0.0, le=86_400.0)
-    damp: float = setting(1.0, "duration of damping at the end", "s", ge=0.5, le=10.0)
+    hold: float = setting(
+        1.0,
+        "time at the last frame",
+        "s",
+        ge=0.0,
+        le=86_400.0,
+        robot=2.0,
+    )
+    damp: float = setting(
+        1.0,
+        "duration of damping at the end",
+        "s",
+        ge=0.5,
+        le=10.0,
+        robot=3.0,
+    )
     start: float = setting(
         0.0, "start time in the motion", "s", flag=(*PLAY_FLAG, "demo", "physics"), ge=0.0
     )
@@ -232,6 +278,7 @@ class StreamConfig(Table):
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
         example="velocity",
+        robot="velocity",
     )
     support: StreamSupport | None = setting(
         None,
@@ -274,6 +321,7 @@ class StreamConfig(Table):
         "has been tested in simulators only",
         flag=("stream",),
         advanced=True,
+        dangerous=True,
     )
     preview: float | None = setting(
         None,
@@ -292,6 +340,7 @@ class StreamConfig(Table):
         example=1.0,
         ge=0.5,
         le=1.05,
+        robot=1.0,
     )
 
     @property
@@ -511,19 +560,30 @@ class SafetyConfig(Table):
     """Thresholds at which a stream stops; docs/safety.md explains each of them."""
 
     position_margin: float = setting(
-        0.0, "distance that targets keep from the joint limits", "rad", ge=0.0, le=0.5
+        0.0,
+        "distance that targets keep from the joint limits",
+        "rad",
+        ge=0.0,
+        le=0.5,
+        robot=0.05,
     )
-    state_timeout: float | None = setting(
-        None,
-        "maximum age of the last LowState and maximum stall of the loop; if unset, 0.1 s, and "
-        "0.5 s on the loopback interface, where a simulator shares this machine",
+    # Two programs and the physics share one machine in simulation, and silences above a robot's
+    # 0.1 s are common on two CPUs. They are harmless there, because the feed-forward torque fades
+    # out after 20 ms and the position servo holds. Unitree's own programs stop after 1 s.
+    state_timeout: float = setting(
+        0.5,
+        "maximum age of the last LowState and maximum stall of the loop",
         "s",
-        example=0.1,
         gt=0.0,
         le=1.0,
+        robot=0.1,
     )
     max_crc_errors: int = setting(
-        10, "maximum number of LowStates with a wrong CRC within a second", ge=0, le=1000
+        10,
+        "maximum number of LowStates with a wrong CRC within a second",
+        ge=0,
+        le=1000,
+        robot=3,
     )
     frozen_timeout: float = setting(
         1.0,
@@ -531,6 +591,7 @@ class SafetyConfig(Table):
         "s",
         gt=0.0,
         le=2.0,
+        robot=0.1,
     )
     frozen_motion: float = setting(
         0.01,
@@ -540,6 +601,7 @@ class SafetyConfig(Table):
         "rad",
         ge=0.0,
         le=0.5,
+        robot=0.0,
     )
     limit_excess: float = setting(
         0.3,
@@ -548,6 +610,7 @@ class SafetyConfig(Table):
         "rad",
         ge=0.0,
         le=1.0,
+        robot=0.1,
     )
     max_leap: float = setting(
         0.5,
@@ -555,10 +618,25 @@ class SafetyConfig(Table):
         "rad",
         gt=0.0,
         le=1.0,
+        robot=0.1,
     )
-    max_tilt: float = setting(1.0, "maximum pelvis tilt", "rad", gt=0.0, le=3.2)
+    max_tilt: float | None = setting(
+        None,
+        f"maximum pelvis tilt; if unset, {_FALLEN:g} rad where nothing holds the robot (support "
+        f"free or feet), and {_OVERTURNED:g} rad otherwise, because a robot that hangs swings",
+        "rad",
+        example=1.0,
+        gt=0.0,
+        le=3.2,
+        robot=0.5,
+    )
     max_joint_speed: float = setting(
-        60.0, "maximum measured joint speed", "rad/s", gt=0.0, le=1000.0
+        60.0,
+        "maximum measured joint speed",
+        "rad/s",
+        gt=0.0,
+        le=1000.0,
+        robot=10.0,
     )
     mode_machine: tuple[int, ...] = setting(
         (0, 5),
@@ -566,7 +644,8 @@ class SafetyConfig(Table):
         "the value of `robot` if that is another kind (4 with 23 joints); 0: a simulator that does "
         "not set it",
         min_length=1,
-        strict=False,  # TOML and JSON know lists only
+        strict=False,  # TOML and JSON know lists only,
+        robot=(5,),
     )
     max_tracking_error: float = setting(
         1.0,
@@ -574,9 +653,15 @@ class SafetyConfig(Table):
         "rad",
         gt=0.0,
         le=6.3,
+        robot=0.3,
     )
     tracking_time: float = setting(
-        2.0, "time over which the distance from the target is averaged", "s", ge=0.02, le=10.0
+        2.0,
+        "time over which the distance from the target is averaged",
+        "s",
+        ge=0.02,
+        le=10.0,
+        robot=0.5,
     )
     jam_time: float = setting(
         4.0,
@@ -584,6 +669,7 @@ class SafetyConfig(Table):
         "s",
         ge=0.2,
         le=10.0,
+        robot=0.5,
     )
     jam_motion: float = setting(
         1.0,
@@ -592,18 +678,38 @@ class SafetyConfig(Table):
         "rad",
         gt=0.0,
         le=6.3,
+        robot=0.3,
     )
     max_torque: float = setting(
-        1.5, "maximum measured torque, as a multiple of the joint's torque limit", gt=0.0, le=10.0
+        1.5,
+        "maximum measured torque, as a multiple of the joint's torque limit",
+        gt=0.0,
+        le=10.0,
+        robot=1.1,
     )
     torque_time: float = setting(
-        0.5, "maximum time with more torque than safety.max_torque", "s", ge=0.0, le=10.0
+        0.5,
+        "maximum time with more torque than safety.max_torque",
+        "s",
+        ge=0.0,
+        le=10.0,
+        robot=0.2,
     )
     max_casing_temperature: float = setting(
-        85.0, "maximum temperature of a motor's casing", "°C", gt=0.0, le=200.0
+        85.0,
+        "maximum temperature of a motor's casing",
+        "°C",
+        gt=0.0,
+        le=200.0,
+        robot=75.0,
     )
     max_winding_temperature: float = setting(
-        120.0, "maximum temperature of a motor's winding", "°C", gt=0.0, le=200.0
+        120.0,
+        "maximum temperature of a motor's winding",
+        "°C",
+        gt=0.0,
+        le=200.0,
+        robot=100.0,
     )
     min_voltage: float = setting(
         40.0,
@@ -612,6 +718,7 @@ class SafetyConfig(Table):
         "V",
         ge=0.0,
         le=60.0,
+        robot=42.0,
     )
     motor_fault_time: float = setting(
         0.5,
@@ -620,17 +727,27 @@ class SafetyConfig(Table):
         "s",
         ge=0.0,
         le=2.0,
+        robot=0.1,
     )
     motor_fault_mask: int = setting(
-        0xFFFFFFFF, "bits of a motor's motorstate that count as faults", ge=0, le=0xFFFFFFFF
+        0xFFFFFFFF,
+        "bits of a motor's motorstate that count as faults",
+        ge=0,
+        le=0xFFFFFFFF,
+        dangerous=True,
     )
     max_missed_ticks: float = setting(
-        0.5, "maximum share of the ticks of a second that the loop misses", ge=0.0, le=1.0
+        0.5,
+        "maximum share of the ticks of a second that the loop misses",
+        ge=0.0,
+        le=1.0,
+        robot=0.1,
     )
     stop_buttons: tuple[str, ...] = setting(
         ("L2+B", "select"),
         "buttons, or combinations of buttons, of the robot's remote that damp and end the stream",
         strict=False,
+        dangerous=True,
     )
     deadman: str | None = setting(
         None,
@@ -644,6 +761,7 @@ class SafetyConfig(Table):
         True,
         "start a guard process, which damps if the stream is killed, stopped or hangs; false is "
         "accepted on the loopback interface only",
+        dangerous=True,
     )
     require_record: bool = setting(
         False, "damp and end when the recording fails", flag=PLAY_FLAG, advanced=True
@@ -651,17 +769,29 @@ class SafetyConfig(Table):
     urdf_limits: bool = setting(
         False,
         "use a URDF's joint limits even where they are wider than those of the robots in this "
-        "package; dangerous",
+        "package",
         flag=(*PLAY_FLAG, "motion", "physics"),
         advanced=True,
+        dangerous=True,
     )
     allow_second_writer: bool = setting(
         False,
         "play even if there is another publisher on rt/lowcmd, or on rt/arm_sdk with stream.via = "
-        "arm_sdk; dangerous",
+        "arm_sdk",
         flag=PLAY_FLAG,
         advanced=True,
+        dangerous=True,
     )
+
+    def tilt_limit(self, support: str | None) -> float:
+        """The pelvis tilt that ends a session, rad.
+
+        Args:
+            support: how the robot is held, as `stream.support` names it; None: not known.
+        """
+        if self.max_tilt is not None:
+            return self.max_tilt
+        return _FALLEN if support in ("free", "feet") else _OVERTURNED
 
 
 #: Config files that come with the package, found by name: `--config robot`.
@@ -669,8 +799,20 @@ SHIPPED: Final = Path(__file__).with_name("configs")
 
 
 class Config(Table):
-    """All settings of a session."""
+    """All settings of a session.
 
+    Settings of `stream` and `safety` that are not given get the values of the profile when a Config
+    is made, and are part of it from then on.
+    """
+
+    profile: Profile = setting(
+        "simulator",
+        "whom settings that are not given are for; network-simulator: as simulator, on a network "
+        "that no robot can be reached on; if unset, simulator on the loopback interface and robot "
+        "on others, where simulator is refused",
+        flag=PLAY_FLAG,
+        advanced=True,
+    )
     robot: Path | None = setting(
         None,
         "the robot: g1_29dof_rev_1_0, g1_29dof (which unitree_mujoco simulates), g1_23dof, "
@@ -704,6 +846,77 @@ class Config(Table):
     gains: GainsConfig = GainsConfig()
     record: RecordConfig = RecordConfig()
     sim: SimConfig = SimConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, values: Any) -> Any:
+        """Choose the profile by the interface unless it is named, and fill in its values."""
+        if not isinstance(values, dict):
+            return values
+        filled = dict(values)
+        if filled.get("profile") is None:
+            interface = _given(filled.get("dds")).get("interface") or DdsConfig().interface
+            on_loopback = not isinstance(interface, str) or is_local_only(interface)
+            filled["profile"] = "simulator" if on_loopback else "robot"
+        if filled["profile"] == "robot":
+            for name, table in (("stream", StreamConfig), ("safety", SafetyConfig)):
+                given = filled.get(name, {})
+                if isinstance(given, dict | table):
+                    filled[name] = _robot_values(table) | _given(given)
+        return filled
+
+    def wider_than_robot(self) -> list[WiderValue]:
+        """The values that are less careful than those of the profile `robot`."""
+        values = self.model_dump()
+        found = []
+        for key, field in settings().items():
+            table, _, name = key.rpartition(".")
+            value = (values[table] if table else values)[name]
+            about: Any = field.json_schema_extra
+            if about and _is_wider(value, field.default, about["robot"], about["dangerous"]):
+                found.append(WiderValue(key, value, about["robot"], about["unit"]))
+        return found
+
+
+class WiderValue(NamedTuple):
+    """A setting that is less careful than with the profile `robot`."""
+
+    key: str  # as in a TOML file, such as `safety.max_tilt`
+    value: Any
+    robot: Any  # the value of the profile `robot`
+    unit: str  # of both; empty without one
+
+    def __str__(self) -> str:
+        """The setting in words."""
+        return f"{self.key} = {self.value}, robot: {self.robot} {self.unit}".rstrip()
+
+
+def _given(table: Any) -> dict[str, Any]:
+    """The settings of a table that are given; of a `Table` those that its maker named."""
+    if isinstance(table, Table):
+        table = {name: getattr(table, name) for name in table.model_fields_set}
+    if not isinstance(table, dict):
+        return {}
+    return {name: value for name, value in table.items() if value is not None}
+
+
+def _robot_values(table: type[Table]) -> dict[str, Any]:
+    """The values of the profile `robot` that are not defaults."""
+    found = {}
+    for name, field in table.model_fields.items():
+        about: Any = field.json_schema_extra
+        if about["robot"] != field.default:
+            found[name] = about["robot"]
+    return found
+
+
+def _is_wider(value: Any, simulator: Any, robot: Any, dangerous: bool) -> bool:
+    """Whether a value is less careful than the robot's; the simulator's tells the direction."""
+    if value == robot or (simulator == robot and not dangerous):
+        return False
+    if isinstance(robot, float | int) and not dangerous and value is not None:
+        return bool((value > robot) == (simulator is None or simulator > robot))
+    return dangerous or not isinstance(robot, tuple) or not set(value) <= set(robot)
 
 
 def settings() -> dict[str, FieldInfo]:

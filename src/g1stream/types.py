@@ -23,6 +23,7 @@ __all__ = [
     "OnboardMode",
     "OtherJoints",
     "Phase",
+    "Profile",
     "StreamSupport",
     "Support",
     "Velocities",
@@ -58,6 +59,10 @@ OnboardMode = Literal["ai", "normal", "advanced"]
 
 OtherJoints = Literal["hold", "free"]
 """Behaviour of joints that do not play the motion: keep the measured pose, or only damp."""
+
+Profile = Literal["simulator", "network-simulator", "robot"]
+"""Whom settings that are not given are for; `network-simulator` has the values of `simulator`, and
+says that no robot can be reached on the network."""
 
 Via = Literal["lowcmd", "arm_sdk"]
 """Receiver of commands: the motors, or the robot's own controller, which moves arms and waist."""

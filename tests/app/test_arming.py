@@ -10,12 +10,12 @@ from g1stream.app.replay import replay
 from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
 from g1stream.control.plan import plan
-from g1stream.control.wire_settings import for_wire, with_robot_limits
+from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.doctor.facts import Level, ok
-from g1stream.errors import SafetyError, WireError
+from g1stream.errors import ConfigError, SafetyError, WireError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -63,7 +63,7 @@ def config(domain_id):
 def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewhere, monkeypatch):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     config = Config.model_validate(ELSEWHERE)
-    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", config.dds.interface])
+    monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", config.dds.interface])
     if elsewhere == "uri":
         monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
         config = Config()
@@ -78,19 +78,30 @@ def test_an_interface_that_does_not_exist_is_refused_before_arming():
     assert ELSEWHERE["dds"]["interface"] in caught.value.cause
 
 
-def test_robot_toml_applies_where_nothing_is_set(monkeypatch):
+@pytest.mark.parametrize(
+    "config",
+    [
+        load_config("sim", {"dds.interface": "eth7"}),
+        Config.model_validate(Config().model_dump() | ELSEWHERE),  # a dump names its profile
+        Config.model_validate(ELSEWHERE | {"profile": "simulator"}),
+    ],
+)
+def test_the_limits_of_a_simulator_are_refused_where_there_may_be_a_robot(monkeypatch, config):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    robot = load_config("robot")
-    given = Config.model_validate(
-        ELSEWHERE | {"safety": {"max_tilt": 0.9}, "stream": {"feedforward": None, "rate": 250.0}}
-    )
-    found = with_robot_limits(given)
-    assert found.dds == given.dds
-    assert found.safety == robot.safety.model_copy(update={"max_tilt": 0.9})
-    assert found.stream == robot.stream.model_copy(update={"rate": 250.0})
-    assert found == for_wire(given) == with_robot_limits(found)
-    assert with_robot_limits(Config()) == Config()
-    assert found.stream.soft_start > 0.0
+    monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", config.dds.interface])
+    assert config.safety.max_joint_speed == 60.0
+    with pytest.raises(ConfigError, match="simulator") as caught:
+        stream("demo", config, arm=lambda report: pytest.fail("asked"))
+    assert "network-simulator" in caught.value.remedy
+    asked = Config.model_validate(config.model_dump() | {"profile": "network-simulator"})
+    assert for_wire(asked) == asked
+
+
+def test_a_config_uri_is_a_network_where_there_may_be_a_robot(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
+    assert Config().profile == "robot"
+    with pytest.raises(ConfigError):
+        for_wire(Config(profile="simulator"))
 
 
 def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
@@ -112,6 +123,8 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
     assert [limb.limb for limb in report.limbs] == list(JOINT_GROUPS)
     assert report.limbs[0].kp == (40.0, 100.0)
     assert report.limits["state_timeout"] == 1.0
+    assert report.wider == tuple(config.wider_than_robot())
+    assert ("safety.state_timeout", 1.0, 0.1, "s") in report.wider
     assert report.motion_service == ok("motion service", "no mode is active")
     about = {one.about for one in report.findings}
     assert {"publisher", "LowState", "mode_machine"} <= about

@@ -4,6 +4,7 @@ import pytest
 
 from g1stream.app.arming import ArmingReport, LimbDistance
 from g1stream.cli.stream import arming, render_arming
+from g1stream.config import WiderValue
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
 
@@ -21,6 +22,7 @@ def report():
         ramp=6.0,
         peak_speed=0.234,
         limits={"state_timeout": 0.1, "max_tilt": 0.5, "mode_machine": (5,)},
+        wider=(WiderValue("safety.max_joint_speed", 60.0, 10.0, "rad/s"),),
         motion_service=ok("motion service", "no mode is active"),
         findings=(ok("tick", "steps of 2 ms"), problem("LowCmd", "no subscriber", "Start one.")),
     )

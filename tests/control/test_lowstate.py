@@ -49,7 +49,7 @@ def begun(make):
     def begin(**settings):
         it = make(**settings)
         assert it.publish(times=3) == ""
-        it.checks.begin()
+        it.checks.begin(None)
         return it
 
     return begin
@@ -167,7 +167,7 @@ def test_a_tick_that_stands_still_where_it_went(make, went):
     it = make(frozen_timeout=0.1)
     it.ticking = went
     it.publish(times=3)
-    it.checks.begin()
+    it.checks.begin(None)
     it.ticking = False
     assert it.publish(times=50) == ""
     assert ("tick of LowState has been 6 for" in it.publish()) == went
@@ -269,7 +269,7 @@ def test_the_remote_counts_from_the_first_command_on(make):
     it.publish()
     assert "safety.deadman" in it.checks.missing
     assert it.checks.stop_reason == ""
-    it.checks.begin()
+    it.checks.begin(None)
     it.publish()
     assert it.checks.stop_reason.startswith("L2+B was pressed")
 

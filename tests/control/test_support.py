@@ -18,7 +18,6 @@ from g1stream.types import Support
 EXTRACTS = Path(__file__).parents[1] / "data" / "unitree_mujoco"
 SETTINGS = {
     "record.channels": "raw",
-    "safety.max_tilt": 3.1,
     "safety.max_joint_speed": 1e3,
     "stream.ramp": 1.0,
     "stream.hold": 0.0,

@@ -8,16 +8,11 @@ from types import SimpleNamespace
 import pytest
 from cyclonedds.core import Entity
 
-from g1stream.dds.domain import (
-    AnnouncedBridge,
-    Participant,
-    identify_program,
-    interfaces,
-    is_loopback,
-)
+from g1stream.dds.domain import AnnouncedBridge, Participant, identify_program
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, TOPICS, LowCmd
 from g1stream.errors import WireError
+from g1stream.network import interfaces, is_loopback
 
 LOWCMD_TYPE = "unitree_hg::msg::dds_::LowCmd_"
 
@@ -42,7 +37,7 @@ def test_an_unknown_interface_is_named_with_the_known_ones(domain_id, interface)
 
 
 def test_a_process_is_on_one_interface_of_a_domain(domain_id, monkeypatch):
-    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth7"])
+    monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", "eth7"])
     with Participant(domain_id, "lo"):
         with pytest.raises(WireError, match=f"uses lo for domain {domain_id}"):
             Participant(domain_id, "eth7")
@@ -52,7 +47,7 @@ def test_a_process_is_on_one_interface_of_a_domain(domain_id, monkeypatch):
 
 
 def test_an_interface_that_cyclone_cannot_use_is_an_error(domain_id, monkeypatch):
-    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth7"])
+    monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", "eth7"])
     with pytest.raises(WireError, match="eth7"):
         Participant(domain_id, "eth7")
     with Participant(domain_id, "lo"), Participant(domain_id, "lo"):

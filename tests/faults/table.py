@@ -205,9 +205,9 @@ STATES: Final = [
 JAM: Final = "[safety]\njam_time = 0.5\njam_motion = 0.3\n"
 ROBOT: Final = [
     Fault(
-        "pelvis tilts in one state of 50",
+        "pelvis overturns in one state of 50",
         "robot",
-        says("imu.quaternion", [0.825, 0, 0.565, 0], every=50),
+        says("imu.quaternion", [0.208, 0, 0.978, 0], every=50),  # 2.72 rad
         reason="safety.max_tilt",
     ),
     Fault(

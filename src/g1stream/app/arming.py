@@ -12,16 +12,18 @@ import numpy as np
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.reading import Reading
 from g1stream.control.targets import Ramp
-from g1stream.dds.domain import Participant, is_local_only, network_name, require_interface
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
 from g1stream.errors import SafetyError, WireError
+from g1stream.network import is_local_only, network_name, require_interface
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.config import WiderValue
     from g1stream.control.plan import Plan
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
@@ -55,6 +57,7 @@ class ArmingReport:
     ramp: float  # length of RAMP, s
     peak_speed: float  # the highest speed of a joint in RAMP, rad/s
     limits: dict[str, Any]  # the safety settings, by name
+    wider: tuple[WiderValue, ...]  # settings that are less careful than the profile `robot`
     # The active mode, which `stream.via` = arm_sdk needs and rt/lowcmd forbids; a warning if it is
     # not known.
     motion_service: Finding
@@ -139,6 +142,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
         ramp=ramp.length / 1e9,
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump(),
+        wider=tuple(config.wider_than_robot()),
         motion_service=service,
         findings=tuple(findings),
     )

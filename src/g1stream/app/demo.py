@@ -14,11 +14,12 @@ from g1stream.app.stream import stream
 from g1stream.child_process import Child
 from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
-from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
+from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.messages import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.files import output_errors
 from g1stream.motion.motion import Motion
+from g1stream.network import is_local_only, is_loopback
 
 _LOGGER = logging.getLogger(__name__)
 

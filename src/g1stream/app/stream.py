@@ -16,11 +16,12 @@ from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
 from g1stream.control.wire_settings import for_wire
-from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
+from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
+from g1stream.network import is_local_only
 from g1stream.realtime import describe, on_time
 from g1stream.session.parts import check_recording_path
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary

@@ -144,8 +144,8 @@ class LiveCommand(SettingsCommand, QuietFlag):
 
 def announce_wire(config: Config, *, commands: bool = True) -> None:
     """Print the DDS domain and interface on standard error, with a warning off loopback."""
-    from g1stream.dds.domain import is_local_only
     from g1stream.dds.messages import COMMANDS
+    from g1stream.network import is_local_only
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):

@@ -8,7 +8,14 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from g1stream.cli.command import LiveCommand, exit_code, print_note, print_summary, print_warning
+from g1stream.cli.command import (
+    LiveCommand,
+    announce_wire,
+    exit_code,
+    print_note,
+    print_summary,
+    print_warning,
+)
 from g1stream.cli.flags import flag
 from g1stream.cli.main import load_command
 from g1stream.cli.motion_flags import MOTION, MotionFlags
@@ -66,7 +73,8 @@ class Demo(LiveCommand, MotionFlags):
 
             def on_loop(loop: StreamLoop, config: Config) -> None:
                 stack.enter_context(self.serving(config))  # in the domain that the demo chose
-                prepare(loop, motion, config)
+                announce_wire(config)
+                prepare(loop, motion)
 
             summary = demo(motion, self.out, config, force=self.force, on_loop=on_loop)
         print_summary(summary, as_json=self.json)

@@ -71,7 +71,7 @@ class Inspect(SettingsCommand, MotionPartFlags):
         if self.json:
             print_json(_as_dict(report, evidence))
         else:
-            print_lines(render(report, evidence, config.safety.max_tilt))
+            print_lines(render(report, evidence, config.safety.tilt_limit("free")))
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 

@@ -77,7 +77,7 @@ class Robot(SettingsCommand):
 
     def _change(self, config: Config) -> int:
         from g1stream.app.motion_service import release_mode, restore_mode
-        from g1stream.dds.domain import is_local_only, network_name
+        from g1stream.network import is_local_only, network_name
 
         if not is_local_only(config.dds.interface):
             what = (

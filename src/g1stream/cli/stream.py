@@ -76,19 +76,21 @@ def render_arming(report: ArmingReport) -> str:
         f"  furthest   {worst.distance:+.2f} rad  {worst.joint}",
         f"ramp: {report.ramp:.1f} s, at up to {report.peak_speed:.2f} rad/s",
         textwrap.fill(f"limits: {limits}", _WIDTH, subsequent_indent="  "),
-        render_findings(report.findings),
-        said,
     ]
+    if report.wider:
+        lines += ["WARNING: these settings are not those of the profile robot:"]
+        lines += [f"  {value}" for value in report.wider]
+    lines += [render_findings(report.findings), said]
     return "\n".join(lines)
 
 
 @contextmanager
-def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
+def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
     """Print events, and yield a function that prepares a loop. Call it before the loop runs.
 
-    It announces the DDS domain, lets signals stop the loop and displays its progress. A signal that
-    comes before there is a loop stops the loop in WAIT, and a second one ends the process, because
-    nothing has been sent yet. The signal handlers stay until the recording is complete.
+    It lets signals stop the loop and displays its progress. A signal that comes before there is a
+    loop stops the loop in WAIT, and a second one ends the process, because nothing has been sent
+    yet. The signal handlers stay until the recording is complete.
     """
     loops: list[StreamLoop] = []
     early: list[str] = []
@@ -104,8 +106,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
         stack.enter_context(on_signals(stop))
         stack.enter_context(handled_by(ConsoleHandler()))
 
-        def prepare(loop: StreamLoop, motion: Motion, config: Config) -> None:
-            announce_wire(config)
+        def prepare(loop: StreamLoop, motion: Motion) -> None:
             loops.append(loop)
             if early:
                 loop.request_stop(early[0], logging.INFO)
@@ -229,6 +230,7 @@ class Stream(PlayCommand, MotionFlags):
         config = self.resolve()
         motion = self.load(self.motions, G1.load(config.robot))
         print_warning(*motion.warnings)
+        announce_wire(config)
         with self.serving(config), playing() as prepare:
             summary = stream(
                 motion,
@@ -236,7 +238,7 @@ class Stream(PlayCommand, MotionFlags):
                 record=self.record,
                 force=self.force,
                 arm=arming(self.arm, self.yes),
-                on_loop=lambda loop: prepare(loop, motion, config),
+                on_loop=lambda loop: prepare(loop, motion),
             )
         return self.report(summary)
 
@@ -266,6 +268,7 @@ class Replay(PlayCommand):
         from g1stream.app.replay import replay
 
         config = self.resolve()
+        announce_wire(config)
         with self.serving(config), playing() as prepare:
             summary = replay(
                 self.file,
@@ -274,6 +277,6 @@ class Replay(PlayCommand):
                 record=self.record,
                 force=self.force,
                 arm=arming(self.arm, self.yes),
-                on_loop=lambda loop, motion: prepare(loop, motion, config),
+                on_loop=prepare,
             )
         return self.report(summary)

@@ -30,13 +30,14 @@ from cyclonedds.core import DDSException
 from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
 from g1stream.control.command import hand_back_commands
-from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant, is_local_only
+from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import COMMANDS, LowCmd
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import GUARD, ConsoleHandler, handled_by
+from g1stream.network import is_local_only
 from g1stream.realtime import allow_all_cpus, on_time
 
 if TYPE_CHECKING:
@@ -400,7 +401,7 @@ def _settings(config: Config, memory: int) -> _Settings:
     settings, wire, priority = config.stream, config.dds, config.realtime.priority
     limit = max(_ROBOT_SILENCE, 2.0 / settings.rate)
     if is_local_only(wire.interface):
-        limit = config.safety.state_timeout or limit
+        limit = config.safety.state_timeout
     return _Settings(
         memory=memory,
         stream=os.getpid(),

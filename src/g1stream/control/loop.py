@@ -22,9 +22,10 @@ from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.robot_time import RobotTime
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.targets import COAST_NS, Targets, Timing
-from g1stream.dds.domain import SETTLE, network_name
+from g1stream.dds.domain import SETTLE
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
 from g1stream.errors import G1StreamError, SafetyError
+from g1stream.network import network_name
 from g1stream.text import counted
 from g1stream.types import Phase
 
@@ -351,8 +352,8 @@ class StreamLoop:
         if before.phase is Phase.PLAY:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
-            self._checks.begin()
             self._commands.begin(measured, self._link.support(), self._link.model())
+            self._checks.begin(self._feedforward.support)
         elif phase is Phase.PLAY:
             self._robot_time.begin(self._clock.now())
         elif phase is Phase.DAMP:

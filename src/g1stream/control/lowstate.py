@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["STATE_TIMEOUT", "LowStateChecks", "state_timeout"]
 
 STATE_TIMEOUT: Final = 0.1
-"""Maximum age of the last LowState of a robot, s, if `safety.state_timeout` is unset."""
+"""Maximum interval of LowStates at which a robot may be commanded, s."""
 
 _SELDOM: Final = f"LowState arrives less often than every {STATE_TIMEOUT:g} s"
 #: Maximum distance of a joint beyond its limits at the start of RAMP, rad: the play of an end stop.
@@ -42,7 +42,7 @@ _CRC_WINDOW: Final = 1_000_000_000
 
 def state_timeout(config: SafetyConfig) -> tuple[float, str]:
     """The maximum age of the last LowState, s, and the name of this limit for messages."""
-    limit = config.state_timeout or STATE_TIMEOUT
+    limit = config.state_timeout
     return limit, f"limit safety.state_timeout = {limit:g} s"
 
 
@@ -106,12 +106,16 @@ class LowStateChecks:
         self._lower = (self._robot.lower - tolerance).astype(np.float32)
         self._upper = (self._robot.upper + tolerance).astype(np.float32)
 
-    def begin(self) -> None:
+    def begin(self, support: str | None) -> None:
         """Begin with commands; from now on it must be the same robot.
 
         The targets begin at the measured pose, and the robot must move with them.
+
+        Args:
+            support: how the robot is held; None: not known.
         """
         self._begun = True
+        self._monitor.support = support
         if self.measured:
             self._content_since = self.measured.received
             self._content_target = self.measured.q.astype(np.float64)

@@ -95,6 +95,9 @@ class RobotMonitor:
         config: the thresholds.
         period: time between two checks of LowState, ns.
         held: (29,) joints with a position servo, which follow a target; None: all.
+
+    Attributes:
+        support: how the robot is held; None: not known.
     """
 
     def __init__(
@@ -104,6 +107,7 @@ class RobotMonitor:
         period: int = 0,
         held: NDArray[np.bool_] | None = None,
     ) -> None:
+        self.support: str | None = None
         self._config = config
         self._max_step = max(_MAX_STEP, period)
         self._patience = round(config.frozen_timeout * 1e9)
@@ -162,10 +166,14 @@ class RobotMonitor:
         )
 
     def _tilted(self, measured: Reading) -> str:
-        tilt, limit = tilt_of(measured.imu.quat_wxyz), self._config.max_tilt
+        limit = self._config.tilt_limit(self.support)
+        tilt = tilt_of(measured.imu.quat_wxyz)
         if tilt <= limit:
             return ""
-        return f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad)"
+        return (
+            f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad; raise it "
+            "only for a robot that hangs and may swing further)"
+        )
 
     def _too_fast(self, measured: Reading) -> str:
         limit, dq = self._config.max_joint_speed, measured.dq

@@ -13,11 +13,11 @@ from g1stream.control.command import MOVED
 from g1stream.control.gains import gains_in_play
 from g1stream.control.sources import load_source
 from g1stream.control.wire_settings import for_wire
-from g1stream.dds.domain import is_local_only
 from g1stream.dds.messages import COMMANDS
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
+from g1stream.network import is_local_only
 from g1stream.robot.model import G1
 from g1stream.session.records import SessionInfo
 

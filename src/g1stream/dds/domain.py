@@ -9,11 +9,8 @@ interface needs no such configuration.
 from __future__ import annotations
 
 import os
-import socket
 from dataclasses import dataclass, field, replace
-from enum import IntFlag
 from math import inf
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from cyclonedds.builtin import (
@@ -27,6 +24,7 @@ from cyclonedds.domain import Domain, DomainParticipant
 
 from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import WireError
+from g1stream.network import is_loopback, require_interface
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,15 +38,8 @@ __all__ = [
     "SETTLE",
     "AnnouncedBridge",
     "Endpoint",
-    "InterfaceFlags",
     "Participant",
     "identify_program",
-    "interface_flags",
-    "interfaces",
-    "is_local_only",
-    "is_loopback",
-    "network_name",
-    "require_interface",
 ]
 
 GUARD_PROGRAM: Final = "g1stream guard"
@@ -79,55 +70,6 @@ DISCOVERY: Final = 0.3
 
 SETTLE: Final = 0.1
 """Additional time in which a participant that joined at the same time is discovered, s."""
-
-
-def interfaces() -> list[str]:
-    """Names of this machine's network interfaces."""
-    return [name for _, name in socket.if_nameindex()]
-
-
-def require_interface(interface: str) -> None:
-    """Check that a network interface exists.
-
-    Raises:
-        WireError: this machine has no interface of that name.
-    """
-    if interface not in interfaces():
-        raise WireError(
-            f"This machine has no network interface {interface!r}.",
-            f"Choose one of {', '.join(interfaces())}.",
-        )
-
-
-class InterfaceFlags(IntFlag):
-    """Kernel flags of a network interface, IFF_* in netdevice(7)."""
-
-    UP = 0x1
-    LOOPBACK = 0x8
-    MULTICAST = 0x1000
-
-
-def interface_flags(interface: str) -> InterfaceFlags:
-    """Read the kernel flags of an interface; if they cannot be read, `lo` is the loopback."""
-    try:
-        return InterfaceFlags(int(Path("/sys/class/net", interface, "flags").read_text(), 16))
-    except OSError:
-        return InterfaceFlags.LOOPBACK if interface == "lo" else InterfaceFlags(0)
-
-
-def is_loopback(interface: str) -> bool:
-    """Return whether an interface is the loopback."""
-    return InterfaceFlags.LOOPBACK in interface_flags(interface)
-
-
-def is_local_only(interface: str) -> bool:
-    """Return whether samples cannot leave this machine; False if CYCLONEDDS_URI is set."""
-    return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
-
-
-def network_name(interface: str) -> str:
-    """Name of the network for messages: the interface, or CYCLONEDDS_URI if it is set."""
-    return "CYCLONEDDS_URI" if os.environ.get("CYCLONEDDS_URI") else interface
 
 
 # g1stream's programs announce themselves in the user data of their writers and readers. User data

@@ -20,16 +20,7 @@ from cyclonedds.core import Policy
 from g1stream.clock import Clock, SystemClock, Ticker
 from g1stream.config import Config, RealtimeConfig
 from g1stream.control.report import Lateness
-from g1stream.dds.domain import (
-    OBSERVER,
-    AnnouncedBridge,
-    Endpoint,
-    InterfaceFlags,
-    Participant,
-    interface_flags,
-    interfaces,
-    is_loopback,
-)
+from g1stream.dds.domain import OBSERVER, AnnouncedBridge, Endpoint, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.local_participants import local_participants
 from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
@@ -47,6 +38,7 @@ from g1stream.doctor.facts import (
 )
 from g1stream.doctor.findings import evaluate
 from g1stream.errors import WireError
+from g1stream.network import InterfaceFlags, interface_flags, interfaces, is_loopback
 from g1stream.realtime import on_time
 from g1stream.robot.model import G1
 

@@ -10,7 +10,6 @@ from g1stream.config import Config, SimConfig
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.sources import load_source
-from g1stream.control.wire_settings import with_robot_limits
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.extras.feet.source import StandingTorques
 from g1stream.extras.physics.example_motions import squatting, stepping
@@ -153,7 +152,7 @@ def test_it_steps_to_where_the_motion_goes():
 def test_where_there_may_be_a_robot_it_has_to_be_allowed_with_its_torques():
     def made(**stream):
         asked = {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
-        settings = with_robot_limits(Config.model_validate(asked))
+        settings = Config.model_validate(asked)
         return load_source(settings, G1.default(), simulated=False, complete=True)
 
     with pytest.raises(SafetyError, match="eth0"):

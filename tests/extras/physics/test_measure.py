@@ -227,12 +227,13 @@ def test_tilt_ends_a_run_where_the_pelvis_follows():
     quat = np.stack([np.cos(angles / 2), 0 * angles, np.sin(angles / 2), 0 * angles], axis=1)
     motion = moving(np.tile(q, (40, 1)), np.tile(root_pos + UP, (40, 1)), quat)
     physics = motion_physics(motion)
-    tilt = of(physics, "follow")["tilt"]
-    assert tilt == of(physics, "free")["tilt"]
+    tilt = of(physics, "free")["tilt"]
     assert (tilt.limit, tilt.spans, tilt.forbids) == (1.0, ((21, 39),), True)
     assert physics.tilt_rad == pytest.approx(1.95)
     assert answers(physics)["bolted"] == answers(physics)["hanging"] == "yes"
-    assert "tilt" not in of(motion_physics(motion, max_tilt=2.0), "follow")
+    assert "tilt" not in of(physics, "follow")  # it is held, and 2.6 rad end a run
+    assert "tilt" not in of(motion_physics(motion, max_tilt=2.0), "free")
+    assert of(motion_physics(motion, max_tilt=1.0), "follow")["tilt"] == tilt
 
 
 def test_more_torque_than_a_motor_has():
@@ -290,9 +291,9 @@ def test_an_arm_inside_the_torso():
     assert deepest.depth_mm == max(one.depth_mm for one in physics.collisions)
     for support in ("bolted", "hanging", "follow", "free"):
         excess = of(physics, support)["self-collision"]
-        assert (excess.worst, excess.forbids) == (deepest.depth_mm, True)
+        assert (excess.worst, excess.forbids) == (deepest.depth_mm, False)
         assert excess.spans == ((10, 19),)
-    assert set(answers(physics).values()) == {"no"}
+    assert {answers(physics)[support] for support in ("bolted", "hanging")} == {"inexact"}
     part = motion_physics(motion, frames=range(15, 30))
     assert part.collisions[0].spans == ((15, 19),)
     assert part.collisions[0].depth_mm == pytest.approx(deepest.depth_mm)

@@ -52,7 +52,6 @@ __all__ = ["Loads", "motion_physics", "movement_loads"]
 
 # Limits, and the longest time beyond them; docs/physics.md explains the values.
 _TOUCHING: Final = 1.0  # penetration depth of two links, mm
-_DEEP: Final = 10.0  # depth of two links that forbids a motion, mm
 _OUTSIDE: Final = 10.0  # distance of the centre of pressure outside of the support polygon, mm
 _UNSUPPORTED: Final = 0.2  # force without a contact that can exert it, over the weight
 _SUNK: Final = 10.0  # depth below the floor, mm
@@ -94,7 +93,7 @@ def motion_physics(
     Args:
         motion: the motion; the floor is at height 0.
         robot: the G1; the default one if None.
-        max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
+        max_tilt: `safety.max_tilt`, rad; if None as there, by the support.
         played: (29,) the joints that play it, for support feet; all if None.
         frames: consecutive frames that are played, two or more; all if None.
         suggest: search for alternatives if it cannot be played with support feet.
@@ -113,17 +112,18 @@ def motion_physics(
     root_quat_wxyz = motion.root_quat_wxyz[frames.start : frames.stop]
     tilt = np.arccos(rotation_matrices(root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
     beyond = _beyond_support(known, loads)
-    max_tilt = SafetyConfig().max_tilt if max_tilt is None else max_tilt
+    safety = SafetyConfig(max_tilt=max_tilt)
 
-    def tilted(values: Floats, longest: float) -> Excess | None:
-        return _excess(known, "tilt", "rad", values, max_tilt, longest=longest)
+    def tilted(support: Support, values: Floats, longest: float) -> Excess | None:
+        limit = safety.tilt_limit(support)
+        return _excess(known, "tilt", "rad", values, limit, longest=longest)
 
     everywhere = _self_collision(known)
     found: dict[Support, list[Excess | None]] = {
         "bolted": [everywhere],
-        "hanging": [everywhere, tilted(loads.hanging_tilt, _SWINGS)],
-        "follow": [everywhere, tilted(tilt, 0.0)],
-        "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
+        "hanging": [everywhere, tilted("hanging", loads.hanging_tilt, _SWINGS)],
+        "follow": [everywhere, tilted("follow", tilt, 0.0)],
+        "free": [everywhere, tilted("free", tilt, 0.0), *_on_its_feet(known, loads, beyond)],
     }
     for support, excesses in found.items():
         over = partial(_excess, known, longest=_TIPS if support == "free" else _SAGS)
@@ -237,8 +237,7 @@ def _beyond_support(frames: _Frames, loads: Loads) -> Floats:
 def _self_collision(frames: _Frames) -> Excess | None:
     values = 1e3 * _columns(frames.depths, len(frames.corners))
     names = [f"{link} in {other}" for link, other in frames.depths]
-    what: tuple[_Frames, Cause, str, Floats] = (frames, "self-collision", "mm", values)
-    return _excess(*what, _DEEP, names, longest=0.0) or _excess(*what, _TOUCHING, names)
+    return _excess(frames, "self-collision", "mm", values, _TOUCHING, names)
 
 
 def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:

@@ -275,7 +275,7 @@ class MotionPhysics(Record, frozen=True):
         """The tilt of the pelvis, in a sentence."""
         return (
             f"at most {self.tilt_rad:.2f} rad; {self.hanging_tilt_rad:.2f} rad if the robot "
-            "hangs at rest in a pose of the motion"
+            "hangs at rest in a pose of the motion, and more while it swings"
         )
 
     def _feet(self) -> list[str]:

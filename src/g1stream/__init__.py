@@ -27,7 +27,6 @@ _HOME = {
         "app.convert": ("Conversion", "ConvertReport", "convert"),
         "app.live": ("live",),
         "app.record": ("record",),
-        "app.replay": ("replay",),
         "app.rollout": ("rollout",),
         "app.session": ("Session", "open_session"),
         "app.sim": ("simulate",),

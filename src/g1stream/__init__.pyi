@@ -11,7 +11,6 @@ from g1stream.app.convert import ConvertReport as ConvertReport
 from g1stream.app.convert import convert as convert
 from g1stream.app.live import live as live
 from g1stream.app.record import record as record
-from g1stream.app.replay import replay as replay
 from g1stream.app.rollout import rollout as rollout
 from g1stream.app.session import Session as Session
 from g1stream.app.session import open_session as open_session

@@ -8,6 +8,7 @@ a flag on the command line overrides both. To add a setting and its flag, add a 
 from __future__ import annotations
 
 import sys
+from math import inf
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -80,23 +81,19 @@ _MAX_KP, _MAX_KD = 500.0, 50.0
 
 #: Pelvis tilt that ends a session where nothing holds the robot, rad: Unitree's own threshold.
 _FALLEN: Final = 1.0
-#: As above where something holds the robot, or where that is not known, rad. Two LAFAN1 dances
-#: swing a robot on unitree_mujoco's band by up to 2.0 rad; at pi, it is upside down.
-_OVERTURNED: Final = 2.6
-
 #: Groups of commands that share flags: they use DDS, play a motion or write a session file.
-_ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
+_ON_ROBOT = ("demo", "stream", "sim", "record", "doctor")
 _DDS = (*_ON_ROBOT, "robot")
-_RECORD = ("stream", "replay", "record")
-_ROS = ("demo", "stream", "replay", "sim", "record")
-#: The commands that play on a robot.
-PLAY_FLAG: Final = ("stream", "replay")
+_RECORD = ("stream", "record")
+_ROS = ("demo", "stream", "sim", "record")
+#: The command that plays on a robot.
+PLAY_FLAG: Final = ("stream",)
 #: The commands that take `--robot`.
 ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library", "simulate", "fit")
 #: The commands that take `--params`.
-_PARAMS: Final = ("demo", "stream", "replay", "sim", "physics", "library", "simulate")
+_PARAMS: Final = ("demo", "stream", "sim", "physics", "library", "simulate")
 #: The commands that take `--live`.
-LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
+LIVE_FLAG: Final = ("demo", "stream", "record", "sim")
 
 
 def setting(
@@ -623,7 +620,7 @@ class SafetyConfig(Table):
     max_tilt: float | None = setting(
         None,
         f"maximum pelvis tilt; if unset, {_FALLEN:g} rad where nothing holds the robot (support "
-        f"free or feet), and {_OVERTURNED:g} rad otherwise, because a robot that hangs swings",
+        "free or feet) and none otherwise, because a robot that hangs swings",
         "rad",
         example=1.0,
         gt=0.0,
@@ -784,14 +781,14 @@ class SafetyConfig(Table):
     )
 
     def tilt_limit(self, support: str | None) -> float:
-        """The pelvis tilt that ends a session, rad.
+        """The pelvis tilt that ends a session, rad; infinity if none does.
 
         Args:
             support: how the robot is held, as `stream.support` names it; None: not known.
         """
         if self.max_tilt is not None:
             return self.max_tilt
-        return _FALLEN if support in ("free", "feet") else _OVERTURNED
+        return _FALLEN if support in ("free", "feet") else inf
 
 
 #: Config files that come with the package, found by name: `--config robot`.

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from g1stream.app.arming import inspect_for_arming
-from g1stream.app.replay import replay
 from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
 from g1stream.control.plan import plan
@@ -59,8 +58,8 @@ def config(domain_id):
     )
 
 
-@pytest.mark.parametrize(("play", "elsewhere"), [(stream, "interface"), (replay, "uri")])
-def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewhere, monkeypatch):
+@pytest.mark.parametrize("elsewhere", ["interface", "uri"])
+def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(elsewhere, monkeypatch):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     config = Config.model_validate(ELSEWHERE)
     monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", config.dds.interface])
@@ -68,7 +67,7 @@ def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewh
         monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
         config = Config()
     with pytest.raises(SafetyError) as caught:
-        play("no such file", config)
+        stream("no such file", config)
     assert "--arm" in caught.value.remedy
 
 

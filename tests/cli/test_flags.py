@@ -7,11 +7,11 @@ from g1stream.cli.command import Command, announce_wire
 from g1stream.cli.flags import argument, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
-from g1stream.cli.stream import Replay, Stream
+from g1stream.cli.stream import Stream
 from g1stream.config import Config, settings
 from g1stream.errors import ConfigError
 
-CLASSES = {"stream": Stream, "replay": Replay, "record": Record, "sim": Sim}
+CLASSES = {"stream": Stream, "record": Record, "sim": Sim}
 
 
 def resolved(command, *arguments):
@@ -30,7 +30,7 @@ def test_every_setting_with_a_flag_is_one(command):
         if setting.annotation is not bool:
             example = setting.examples[0] if setting.examples else setting.default
             given.append(str(example))
-        if (table == "record" or name == "require_record") and command in ("stream", "replay"):
+        if (table == "record" or name == "require_record") and command == "stream":
             given += ["--record", "y.mcap"]
         if name in ("stand", "rehearse"):
             given += ["--policy", "x.onnx"]
@@ -63,7 +63,7 @@ def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
         ("stream", ("--fps", "0"), "--fps cannot be 0"),
         ("stream", ("--speed", "inf"), "--speed cannot be inf"),
         ("stream", ("--split-size", "5"), "--split-size"),
-        ("replay", ("--force",), "--force"),
+        ("stream", ("--force",), "--force"),
         ("sim", ("--live-port", "9000"), "--live-port"),
     ],
 )

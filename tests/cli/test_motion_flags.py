@@ -118,6 +118,6 @@ def test_the_report_is_about_the_changed_motion(run):
     assert json.loads(done.out)["n_frames"] == 61
 
 
-def test_a_replay_at_no_speed_is_refused(capsys):
-    assert main(["replay", "session.mcap", "--speed", "0"]) == 2
+def test_a_session_at_no_speed_is_refused(capsys):
+    assert main(["stream", "session.mcap", "--speed", "0"]) == 2
     assert "--speed" in capsys.readouterr().err

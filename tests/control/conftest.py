@@ -12,7 +12,7 @@ from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
-from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.lowstate import STATE_TIMEOUT, LowStateChecks
 from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
 from g1stream.control.targets import Targets, Timing
@@ -155,7 +155,7 @@ def make_loop(clock, link, trajectory, robot, timing):
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
     def make(safety=None, targets=None, timing=timing, **other):
-        safety = safety or SafetyConfig()
+        safety = safety or SafetyConfig(state_timeout=STATE_TIMEOUT)
         targets = targets or Targets(trajectory, start=0.0)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)

@@ -435,7 +435,7 @@ COMMANDS = (
     ("info", "{}"),
     ("motion", "{}"),
     ("convert", "{}", "{out}.mcap"),
-    ("replay", "{}"),
+    ("stream", "{}"),
     ("stream", "demo", "--gains", "{}", "--robot", "/dev/null"),
     ("motion", "demo", "--config", "{}", "--robot", "/dev/null"),
     ("motion", "demo", "--robot", "{}"),

@@ -205,9 +205,10 @@ STATES: Final = [
 JAM: Final = "[safety]\njam_time = 0.5\njam_motion = 0.3\n"
 ROBOT: Final = [
     Fault(
-        "pelvis overturns in one state of 50",
+        "pelvis tilts in one state of 50",
         "robot",
-        says("imu.quaternion", [0.208, 0, 0.978, 0], every=50),  # 2.72 rad
+        says("imu.quaternion", [0.825, 0, 0.565, 0], every=50),
+        prepare=settings("[safety]\nmax_tilt = 1.0\n"),
         reason="safety.max_tilt",
     ),
     Fault(

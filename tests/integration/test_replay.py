@@ -32,13 +32,13 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 def sessions(
     module_domain_id: int, running: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[Session, dict[str, Any]]]:
-    """A motion as it was streamed, replayed, and replayed at half speed."""
+    """A motion as it was streamed, streamed again from its session, and at half speed."""
     directory = tmp_path_factory.mktemp("replay")
     first = directory / "first.mcap"
     runs = {
         "first": ["stream", "demo", "--start", 2.0, "--duration", PLAY],
-        "again": ["replay", first],
-        "slow": ["replay", first, "--speed", 0.5],
+        "again": ["stream", first],
+        "slow": ["stream", first, "--speed", 0.5],
     }
     found = {}
     with running("sim", "--domain", module_domain_id):

@@ -45,7 +45,6 @@ COMMANDS: Final = {
         "stream": ("cli.stream:Stream", "Play a motion on the robot or simulator on DDS."),
         "sim": ("cli.sim:Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the robot's topics."),
         "record": ("cli.record:Record", "Record the DDS topics into a session file (MCAP)."),
-        "replay": ("cli.stream:Replay", "Play a recorded session again."),
         "convert": (
             "cli.convert:Convert",
             "Convert a motion into MCAP, CSV or NPZ, a session into a ROS 2 bag.",
@@ -96,7 +95,6 @@ COMMANDS: Final = {
             "cli.doctor:Doctor",
             "Diagnose the DDS connection to the robot and this machine's timing.",
         ),
-        "completion": ("cli.completion:Completion", "Print a shell completion script."),
     }.items()
 }
 """The commands. To add one, add a row."""

@@ -1,4 +1,4 @@
-"""`g1stream stream` and `g1stream replay`: play a motion or a recorded session."""
+"""`g1stream stream`: plays a motion, or the reference of a recorded session."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from g1stream.events import ConsoleHandler, handled_by
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
@@ -116,9 +115,29 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayCommand(LiveCommand):
-    """Flags of the commands that play something on a robot."""
+class Stream(LiveCommand, MotionFlags):
+    """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
 
+    Ctrl-C damps the robot and ends. With --support feet the robot squats first, and with --policy
+    it stands first; a second Ctrl-C damps at once. docs/feet.md and docs/policy.md say how to put
+    it on its feet in each simulator.
+
+    Examples:
+      g1stream stream demo
+      g1stream stream dance.csv --record dance.mcap --support hanging
+      g1stream stream dance.csv --support feet --joints arms,waist
+      g1stream stream dance.csv --policy policy.onnx --record dance.mcap
+      g1stream stream wave.csv dance.npz --blend 1 --start 2 --mirror
+      g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
+
+    Exit codes:
+      0        played as asked
+      1        something stopped it, or the recording is incomplete
+      2        bad input
+      128 + n  ended by signal n: 130 after Ctrl-C
+    """
+
+    motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")
     force: bool = flag(False, "Replace an existing recording.")
     gains: Path | None = flag(
@@ -191,37 +210,6 @@ class PlayCommand(LiveCommand):
             over["stream.beyond_limits"] = asked[0].replace("_", "-")
         return over
 
-    def report(self, summary: Summary) -> int:
-        """Print the summary, and return the exit code."""
-        print_summary(summary, as_json=self.json)
-        return exit_code(summary)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stream(PlayCommand, MotionFlags):
-    """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
-
-    Ctrl-C damps the robot and ends. With --support feet the robot squats first, and with --policy
-    it stands first; a second Ctrl-C damps at once. docs/feet.md and docs/policy.md say how to put
-    it on its feet in each simulator.
-
-    Examples:
-      g1stream stream demo
-      g1stream stream dance.csv --record dance.mcap --support hanging
-      g1stream stream dance.csv --support feet --joints arms,waist
-      g1stream stream dance.csv --policy policy.onnx --record dance.mcap
-      g1stream stream wave.csv dance.npz --blend 1 --start 2 --mirror
-      g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
-
-    Exit codes:
-      0        played as asked
-      1        something stopped it, or the recording is incomplete
-      2        bad input
-      128 + n  ended by signal n: 130 after Ctrl-C
-    """
-
-    motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
-
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.app.stream import stream
@@ -240,43 +228,5 @@ class Stream(PlayCommand, MotionFlags):
                 arm=arming(self.arm, self.yes),
                 on_loop=lambda loop: prepare(loop, motion),
             )
-        return self.report(summary)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Replay(PlayCommand):
-    """Plays the recorded reference like a motion, starting from the measured pose.
-
-    Limits and gains come from this call, not from the recording. Ctrl-C damps the robot and ends.
-
-    Examples:
-      g1stream replay dance.mcap
-      g1stream replay dance.mcap --speed 0.5 --record slow.mcap
-
-    Exit codes:
-      0        played as asked
-      1        something stopped it, or the recording is incomplete
-      2        bad input
-      128 + n  ended by signal n: 130 after Ctrl-C
-    """
-
-    file: Path = argument("The session file, or one of its parts.", "MCAP")
-    speed: float = flag(1.0, "Speed as a multiple of the recorded speed.", "FACTOR", gt=0)
-
-    def run(self) -> int:
-        """Play, and return the exit code."""
-        from g1stream.app.replay import replay
-
-        config = self.resolve()
-        announce_wire(config)
-        with self.serving(config), playing() as prepare:
-            summary = replay(
-                self.file,
-                config,
-                speed=self.speed,
-                record=self.record,
-                force=self.force,
-                arm=arming(self.arm, self.yes),
-                on_loop=prepare,
-            )
-        return self.report(summary)
+        print_summary(summary, as_json=self.json)
+        return exit_code(summary)

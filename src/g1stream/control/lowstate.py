@@ -115,7 +115,7 @@ class LowStateChecks:
             support: how the robot is held; None: not known.
         """
         self._begun = True
-        self._monitor.support = support
+        self._monitor.max_tilt = self._config.tilt_limit(support)
         if self.measured:
             self._content_since = self.measured.received
             self._content_target = self.measured.q.astype(np.float64)

@@ -31,6 +31,8 @@ _MAX_STEP: Final = 5_000_000
 _JAM_PERIOD: Final = 100_000_000
 #: Time below the voltage limit after which it is not a short dip, s.
 _VOLTAGE_TIME: Final = 0.5
+#: Pelvis tilt beyond which no session begins, rad: the robot is upside down, or its IMU is wrong.
+_OVERTURNED: Final = 2.6
 #: Share of its target's motion below which a joint counts as jammed.
 _JAM_SHARE: Final = 0.1
 _NEVER: Final = 1 << 62
@@ -97,7 +99,7 @@ class RobotMonitor:
         held: (29,) joints with a position servo, which follow a target; None: all.
 
     Attributes:
-        support: how the robot is held; None: not known.
+        max_tilt: pelvis tilt that ends the session, rad.
     """
 
     def __init__(
@@ -107,7 +109,7 @@ class RobotMonitor:
         period: int = 0,
         held: NDArray[np.bool_] | None = None,
     ) -> None:
-        self.support: str | None = None
+        self.max_tilt = _OVERTURNED if config.max_tilt is None else config.max_tilt
         self._config = config
         self._max_step = max(_MAX_STEP, period)
         self._patience = round(config.frozen_timeout * 1e9)
@@ -166,8 +168,7 @@ class RobotMonitor:
         )
 
     def _tilted(self, measured: Reading) -> str:
-        limit = self._config.tilt_limit(self.support)
-        tilt = tilt_of(measured.imu.quat_wxyz)
+        tilt, limit = tilt_of(measured.imu.quat_wxyz), self.max_tilt
         if tilt <= limit:
             return ""
         return (

@@ -6,6 +6,7 @@ import fcntl
 import itertools
 import json
 import os
+import re
 import runpy
 import signal
 import socket
@@ -17,6 +18,7 @@ import time
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
+IDL_DIR = Path(__file__).parents[1] / "idl"
 CORE_ALONE = Path(__file__).with_name("core_alone")
 
 
@@ -288,3 +291,95 @@ def stranger() -> Iterator[Callable[..., int]]:
     yield start
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
+
+
+class Ended(NamedTuple):
+    """A command that has ended: its exit code, and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Run a command in this process."""
+    from g1stream.cli.main import main
+
+    def run_command(*arguments: object) -> Ended:
+        capsys.readouterr()
+        code = main([*map(str, arguments)])
+        return Ended(code, *capsys.readouterr())
+
+    return run_command
+
+
+@pytest.fixture
+def beside() -> Callable[..., AbstractContextManager[Any]]:
+    """Run a program of `g1stream.app` meanwhile; gives its event `ready`, and then its `result`."""
+
+    @contextmanager
+    def run(program: Callable[..., Any], *arguments: Any, **options: Any) -> Iterator[Any]:
+        own = SimpleNamespace(ready=threading.Event(), result=None)
+
+        def work(stop: threading.Event) -> None:
+            given = {"should_stop": stop.is_set, "on_ready": own.ready.set}
+            own.result = program(*arguments, **options, **given)
+
+        with in_thread(work):
+            yield own
+
+    return run
+
+
+@pytest.fixture
+def publishing(beside: Callable[..., Any]) -> Callable[..., Any]:
+    """Call a function at 50 Hz meanwhile."""
+
+    def publish(
+        act: Callable[[], object], should_stop: Callable[[], bool], on_ready: object
+    ) -> None:
+        while not should_stop():
+            act()
+            time.sleep(0.02)
+
+    return lambda act: beside(publish, act)
+
+
+@pytest.fixture
+def bridge(domain_id: int, beside: Callable[..., Any]) -> Callable[..., Any]:
+    """Our bridge in a thread, with a mode of the motion service; gives where it is."""
+    from g1stream.app.sim import simulate
+    from g1stream.config import Config
+
+    @contextmanager
+    def run(onboard: str | None = None) -> Iterator[Any]:
+        config = Config.model_validate({"dds": {"domain": domain_id}, "sim": {"onboard": onboard}})
+        with beside(simulate, config) as started:
+            assert started.ready.wait(30)
+            yield config.dds
+
+    return run
+
+
+class Declared(NamedTuple):
+    """A struct of an IDL file; a field is name -> (IDL name of the element's type, length)."""
+
+    annotations: list[str]
+    fields: dict[str, tuple[str, int | None]]
+
+
+@pytest.fixture(scope="session")
+def declared() -> dict[str, Declared]:
+    """Every struct of idl/ by its full name, such as `unitree_hg.msg.dds_.LowCmd_`."""
+    found = {}
+    for file in IDL_DIR.glob("*/*.idl"):
+        text = re.sub(r"//.*", "", file.read_text())
+        module = ".".join(re.findall(r"module\s+(\w+)", text))
+        for marks, name, body in re.findall(r"((?:@\w+\s+)*)struct\s+(\w+)\s*{([^}]*)}", text):
+            fields = re.findall(r"([\w<>][\w <>]*?)\s+(\w+)\s*(?:\[(\d+)\])?\s*;", body)
+            assert len(fields) == body.count(";")
+            found[f"{module}.{name}"] = Declared(
+                marks.split(), {field: (kind, int(n) if n else None) for kind, field, n in fields}
+            )
+    return found

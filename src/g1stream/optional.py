@@ -18,13 +18,15 @@ __all__ = [
 ]
 
 EXTENSIONS: Final = {
+    "motion_service": "g1stream.extras.onboard.motion_service:MotionSwitcherClient",
+    "simulated_service": "g1stream.extras.onboard.simulated:MotionService",
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",
     "read_log": "g1stream.extras.ros2.bag_reader:BagSource",
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
     "render": "g1stream.extras.video.render:render",
 }
-"""Functions of extras that the core calls, as `module:name`."""
+"""Functions and classes of extras that the core calls, as `module:name`."""
 
 
 def extension(name: str) -> Any:

@@ -1,10 +1,7 @@
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
-
-from g1stream.cli.main import main
 
 
 @pytest.fixture
@@ -18,23 +15,3 @@ def matches_snapshot():
         assert f"{text}\n" == path.read_text()
 
     return check
-
-
-class Ended(NamedTuple):
-    """A command that has ended: its exit code, and what it printed."""
-
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def run(capsys):
-    """Run a command in this process."""
-
-    def run_command(*arguments):
-        capsys.readouterr()
-        code = main([*map(str, arguments)])
-        return Ended(code, *capsys.readouterr())
-
-    return run_command

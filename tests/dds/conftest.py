@@ -1,39 +1,11 @@
-import re
 import subprocess
 import sys
 from contextlib import contextmanager
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from g1stream.dds.layout import Layout
-
-IDL_DIR = Path(__file__).parents[2] / "idl"
-
-
-class Declared(NamedTuple):
-    """A struct of an IDL file; a field is name -> (IDL name of the element's type, length)."""
-
-    annotations: list[str]
-    fields: dict[str, tuple[str, int | None]]
-
-
-@pytest.fixture(scope="session")
-def declared():
-    """Every struct of idl/ by its full name, such as `unitree_hg.msg.dds_.LowCmd_`."""
-    found = {}
-    for file in IDL_DIR.glob("*/*.idl"):
-        text = re.sub(r"//.*", "", file.read_text())
-        module = ".".join(re.findall(r"module\s+(\w+)", text))
-        for marks, name, body in re.findall(r"((?:@\w+\s+)*)struct\s+(\w+)\s*{([^}]*)}", text):
-            fields = re.findall(r"([\w<>][\w <>]*?)\s+(\w+)\s*(?:\[(\d+)\])?\s*;", body)
-            assert len(fields) == body.count(";")
-            found[f"{module}.{name}"] = Declared(
-                marks.split(), {field: (kind, int(n) if n else None) for kind, field, n in fields}
-            )
-    return found
 
 
 @pytest.fixture(scope="session")

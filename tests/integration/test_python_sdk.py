@@ -24,9 +24,7 @@ from g1stream.dds.messages import (
     Message,
     Topic,
 )
-from g1stream.dds.motion_switcher import ApiId
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.sim.onboard import MotionService
 from threads import in_thread
 
 TOPICS = {
@@ -118,6 +116,9 @@ def test_discovery_shows_the_sdks_process(name, sdk_on, domain_id, until):
 
 
 def test_sdk_calls_our_motion_service(sdk_on, domain_id):
+    from g1stream.extras.onboard.motion_service import ApiId
+    from g1stream.extras.onboard.simulated import MotionService
+
     with Participant(domain_id, "lo") as participant:
         service = MotionService(participant, "ai")
 

@@ -17,6 +17,7 @@ from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
 from g1stream.errors import SafetyError, WireError
 from g1stream.network import is_local_only, network_name, require_interface
+from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
 
@@ -154,13 +155,12 @@ def _motion_service(participant: Participant, plan: Plan) -> Finding:
     Raises:
         SafetyError: it is active and would also send commands, or it is needed and inactive.
     """
-    from g1stream.dds.motion_switcher import MotionSwitcherClient
     from g1stream.doctor.facts import ok, warning
 
     arms = plan.topic is ARM_SDK
     about = "motion service"
     try:
-        active = MotionSwitcherClient(participant, _SERVICE_TIMEOUT).check().name
+        active = extension("motion_service")(participant, _SERVICE_TIMEOUT).check().name
     except WireError as error:  # a simulator has no motion service; publishers are checked anyway
         return warning(
             about,

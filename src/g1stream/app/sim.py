@@ -19,6 +19,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import SimError
 from g1stream.events import ConsoleHandler, handled_by
+from g1stream.optional import extension
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
@@ -73,7 +74,7 @@ def simulate(
             settings.held_by,
             SystemClock(),
             model=model.name,
-            onboard=settings.onboard,
+            onboard=extension("simulated_service")(participant, settings.onboard),
             view=view if window else None,
         )
         granted = stack.enter_context(on_time(_priority(config)))

@@ -90,7 +90,10 @@ COMMANDS: Final = {
             "extras.physics.physics_cli:Physics",
             "Compute the torques and forces that a motion needs.",
         ),
-        "robot": ("cli.robot:Robot", "Show, release or restore the robot's own controller."),
+        "robot": (
+            "extras.onboard.robot_cli:Robot",
+            "Show, release or restore the robot's own controller.",
+        ),
         "doctor": (
             "cli.doctor:Doctor",
             "Diagnose the DDS connection to the robot and this machine's timing.",

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.dds.domain import AnnouncedBridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
-from g1stream.sim.onboard import MotionService
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,12 +15,23 @@ if TYPE_CHECKING:
     from g1stream.clock import Clock
     from g1stream.dds.domain import Participant
     from g1stream.sim.robot import SimReport, SimulatedRobot
-    from g1stream.types import OnboardMode, Support
+    from g1stream.sim.world import Root
+    from g1stream.types import Support
 
 __all__ = ["Bridge"]
 
 _CATCH_UP: Final = 50_000_000  # ns
 _VIEW_PERIOD: Final = 20_000_000  # ns
+
+
+class Onboard(Protocol):
+    """The robot's own controller on DDS."""
+
+    def step(self, low_state: bytes, stamp: int) -> None:
+        """Act after the robot has published a LowState at `stamp`, ns."""
+
+    def stance(self, now: int) -> Root | None:
+        """Base pose at `now`, ns, of a robot that the controller balances; None if it does not."""
 
 
 class Bridge:
@@ -33,7 +43,7 @@ class Bridge:
         support: how the robot is held, which is announced to streams.
         clock: provides now, stamp and sleep_until.
         model: name of the simulated robot, which is also announced; "": not announced.
-        onboard: mode of its motion service that is active at the start.
+        onboard: its motion service and its own controller, if it has them.
         view: shows the world, called about 50 times a second; returning False ends the run.
     """
 
@@ -45,7 +55,7 @@ class Bridge:
         clock: Clock,
         *,
         model: str = "",
-        onboard: OnboardMode | None = None,
+        onboard: Onboard | None = None,
         view: Callable[[], bool] | None = None,
     ) -> None:
         self._robot = robot
@@ -57,7 +67,7 @@ class Bridge:
         self._low_state = RawWriter(participant, LOWSTATE, user_data=announced.user_data)
         self._sport_mode_state = RawWriter(participant, SPORTMODESTATE)
         self._secondary_imu = RawWriter(participant, SECONDARY_IMU)
-        self._motion_service = MotionService(participant, onboard)
+        self._onboard = onboard
 
     def run(self, should_stop: Callable[[], bool]) -> SimReport:
         """Simulate until `should_stop` returns True.
@@ -97,14 +107,15 @@ class Bridge:
         self._low_state.write(published.low_state, stamp)
         self._sport_mode_state.write(published.sport_mode_state, stamp)
         self._secondary_imu.write(published.secondary_imu, stamp)
-        self._motion_service.step(published.low_state, stamp)
+        if self._onboard:
+            self._onboard.step(published.low_state, stamp)
 
     def _receive(self, now: int) -> None:
         command = self._commands.take_latest()
         if command is not None:
             self._robot.receive_command(command.data, now)
         reference = self._references.take_latest()
-        stance = self._motion_service.stance(now)
+        stance = self._onboard.stance(now) if self._onboard else None
         if stance is not None:
             self._robot.set_base(stance)
         elif reference is not None:

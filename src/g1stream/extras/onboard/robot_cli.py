@@ -66,7 +66,7 @@ class Robot(SettingsCommand):
             raise ConfigError("The mode to restore is missing.", "Give one, such as ai.")
 
     def _status(self, config: Config) -> int:
-        from g1stream.app.motion_service import onboard_status
+        from g1stream.extras.onboard.motion_service import onboard_status
 
         status = onboard_status(config.dds, self.timeout)
         if self.json:
@@ -76,7 +76,7 @@ class Robot(SettingsCommand):
         return EXIT_OK
 
     def _change(self, config: Config) -> int:
-        from g1stream.app.motion_service import release_mode, restore_mode
+        from g1stream.extras.onboard.motion_service import release_mode, restore_mode
         from g1stream.network import is_local_only, network_name
 
         if not is_local_only(config.dds.interface):

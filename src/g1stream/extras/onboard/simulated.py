@@ -18,7 +18,13 @@ import numpy as np
 
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowCmd, LowState
-from g1stream.dds.motion_switcher import API_VERSION, ApiEndpoint, ApiId, ErrorCode, response_to
+from g1stream.extras.onboard.motion_service import (
+    API_VERSION,
+    ApiEndpoint,
+    ApiId,
+    ErrorCode,
+    response_to,
+)
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, select_joints
 from g1stream.sim.world import Root
 from g1stream.types import OnboardMode

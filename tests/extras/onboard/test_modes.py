@@ -1,12 +1,16 @@
 import pytest
 
-from g1stream.app.motion_service import onboard_status, release_mode, restore_mode
 from g1stream.config import DdsConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD
-from g1stream.dds.motion_switcher import OnboardStatus
 from g1stream.errors import SafetyError, WireError
+from g1stream.extras.onboard.motion_service import (
+    OnboardStatus,
+    onboard_status,
+    release_mode,
+    restore_mode,
+)
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ from typing import get_args, get_type_hints
 import pytest
 
 from g1stream.dds.domain import Participant
-from g1stream.dds.motion_switcher import (
+from g1stream.errors import WireError
+from g1stream.extras.onboard.motion_service import (
     ApiEndpoint,
     ApiId,
     ErrorCode,
@@ -16,7 +17,6 @@ from g1stream.dds.motion_switcher import (
     Response_,
     response_to,
 )
-from g1stream.errors import WireError
 from threads import in_thread
 
 IDL_NAMES = {

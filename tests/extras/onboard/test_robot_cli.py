@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from g1stream.app import motion_service
-from g1stream.dds.motion_switcher import OnboardStatus
+from g1stream.extras.onboard import motion_service
+from g1stream.extras.onboard.motion_service import OnboardStatus
 
 
 @pytest.fixture

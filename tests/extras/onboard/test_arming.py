@@ -15,10 +15,10 @@ from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import ConfigError, SafetyError, WireError
+from g1stream.extras.onboard.simulated import MotionService
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.sim.onboard import MotionService
 
 STILL = Motion.from_arrays(np.zeros((51, 29)), fps=50.0, name="still")
 ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}

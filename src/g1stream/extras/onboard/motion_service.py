@@ -20,11 +20,13 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LOWCMD
 from g1stream.dds.types import idl_struct, octet
-from g1stream.errors import WireError
+from g1stream.errors import SafetyError, WireError
 
 if TYPE_CHECKING:
-    from g1stream.dds.domain import Participant
+    from g1stream.config import DdsConfig
 
 __all__ = [
     "API_VERSION",
@@ -37,7 +39,10 @@ __all__ = [
     "OnboardStatus",
     "Request_",
     "Response_",
+    "onboard_status",
+    "release_mode",
     "response_to",
+    "restore_mode",
 ]
 
 REQUEST_TOPIC: Final = "rt/api/motion_switcher/request"
@@ -289,3 +294,34 @@ class MotionSwitcherClient:
 def _call_name(api: ApiId) -> str:
     """Name of a call as in Unitree's documentation, such as `CheckMode`."""
     return "".join(part.capitalize() for part in api.name.split("_"))
+
+
+def onboard_status(where: DdsConfig, timeout: float = 5.0) -> OnboardStatus:
+    """The form of the robot and its active mode."""
+    with Participant(where.domain, where.interface) as participant:
+        return MotionSwitcherClient(participant, timeout).check()
+
+
+def release_mode(where: DdsConfig, timeout: float = 5.0) -> str:
+    """Release the active mode, upon which the robot goes limp. Returns its name; "" if none."""
+    with Participant(where.domain, where.interface) as participant:
+        client = MotionSwitcherClient(participant, timeout)
+        name = client.check().name
+        if name:
+            client.release()
+    return name
+
+
+def restore_mode(where: DdsConfig, name: str, timeout: float = 5.0) -> None:
+    """Start a mode, unless another program publishes LowCmd."""
+    with Participant(where.domain, where.interface) as participant:
+        client = MotionSwitcherClient(participant, timeout)
+        active = client.check().name
+        if not active and (others := participant.commanders()):
+            raise SafetyError(
+                f"The mode {name} would conflict with a publisher on {LOWCMD.name}: "
+                f"{', '.join(map(participant.owner, others))}.",
+                "Stop it first.",
+            )
+        if active != name:
+            client.select(name)

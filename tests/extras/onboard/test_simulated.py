@@ -8,12 +8,12 @@ from g1stream.config import SimConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LOWCMD, LowCmd, LowState
-from g1stream.dds.motion_switcher import ApiEndpoint, MotionSwitcherClient, Request_
 from g1stream.errors import WireError
+from g1stream.extras.onboard.motion_service import ApiEndpoint, MotionSwitcherClient, Request_
+from g1stream.extras.onboard.simulated import MotionService
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
-from g1stream.sim.onboard import MotionService
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 from threads import in_thread
@@ -24,7 +24,9 @@ def simulating(domain_id, onboard=None):
     """A bridge that runs in a thread; yields what it reports in the end."""
     robot = SimulatedRobot(World(G1.default()), SimConfig())
     with Participant(domain_id, "lo") as participant:
-        bridge = Bridge(participant, robot, "bolted", SystemClock(), onboard=onboard)
+        bridge = Bridge(
+            participant, robot, "bolted", SystemClock(), onboard=MotionService(participant, onboard)
+        )
         with in_thread(lambda stop: bridge.run(stop.is_set)):
             yield robot.report
 

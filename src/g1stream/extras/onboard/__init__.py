@@ -1,0 +1,1 @@
+"""The robot's own controller: its motion service, and a simulation of both."""

@@ -20,14 +20,37 @@ _FORM: Final = re.compile(
 )
 
 
+#: Names of values that are 1 for runs that were played as asked.
+_AS_ASKED: Final = ("completed", "played", "success")
+#: Conditions that are tested unless a given one has one of these names.
+_DEFAULT: Final = ("completed < 1", "played < 1")
+
+
 class FailIf(NamedTuple):
-    """A condition `NAME OP NUMBER` or `NAME OP NUMBER * base`. OP is one of `< <= > >=`."""
+    """A condition `NAME OP NUMBER` or `NAME OP NUMBER * base`. OP is one of `< <= > >=`.
+
+    A `default` condition was not given by the user, and does not hold for unknown values.
+    """
 
     text: str
     name: str
     holds_for: Callable[[float, float], bool]
     number: float
     of_base: bool
+    default: bool = False
+
+    @classmethod
+    def parse_all(
+        cls, texts: Sequence[str], names: Sequence[str], with_base: Sequence[str] = ()
+    ) -> list[FailIf]:
+        """Parse conditions, and add those that fail runs that were not played as asked.
+
+        Otherwise a run that was stopped before its difficult part would pass for its small error.
+        """
+        given = [cls.parse(text, names, with_base) for text in texts]
+        if not given or any(one.name in _AS_ASKED for one in given):
+            return given
+        return [*given, *(cls.parse(text, names)._replace(default=True) for text in _DEFAULT)]
 
     @classmethod
     def parse(cls, text: str, names: Sequence[str], with_base: Sequence[str] = ()) -> FailIf:
@@ -55,8 +78,11 @@ class FailIf(NamedTuple):
         return cls(text.strip(), name, _OPERATORS[match[2]], number, of_base)
 
     def holds(self, value: float | None, base: float | None = None) -> bool | None:
-        """Whether the condition holds; None if the value, or the base that it needs, is unknown."""
+        """Whether the condition holds; None if the value, or the base that it needs, is unknown.
+
+        A default condition does not hold for an unknown value.
+        """
         factor = base if self.of_base else 1.0
         if value is None or factor is None or not (isfinite(value) and isfinite(factor)):
-            return None
+            return False if self.default else None
         return self.holds_for(value, self.number * factor)

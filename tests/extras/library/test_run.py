@@ -20,7 +20,7 @@ from g1stream.extras.library.compute import LibraryCase
 from g1stream.extras.library.files import LIBRARY
 from g1stream.extras.library.processes import Limits
 from g1stream.extras.library.run import LibraryRun, run_library
-from g1stream.extras.library.table import open_library
+from g1stream.extras.library.table import condition_value, open_library
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
 
@@ -167,6 +167,19 @@ def test_processes_that_are_killed_lose_nothing(many, tmp_path):
     _, errors = process.communicate(timeout=100)
     assert process.returncode == 0, errors
     assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 40
+
+
+@pytest.mark.slow
+def test_a_fall_fails_a_condition_on_the_error_before_it(tmp_path):
+    demo = g1stream.load_motion("demo")
+    demo.trim(0.0, 3.0).save(tmp_path / "falls.npz")
+    given = ["library", "simulate", str(tmp_path / "falls.npz"), "-o", str(tmp_path / "out")]
+    given += ["--support", "free", "--workers", "1", "--fail-if", "rmse > 100"]
+    assert main(given) == 1
+    (row,) = open_library(tmp_path / "out").motions.to_dict("records")
+    assert (row["status"], row["completed"], row["rmse"] < 100) == ("ok", False, True)
+    assert condition_value(row, "played") == row["progress"] < 0.9
+    assert main([*given, "--fail-if", "played < 0.1"]) == 0
 
 
 @pytest.mark.slow

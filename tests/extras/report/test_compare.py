@@ -1,3 +1,4 @@
+import json
 import re
 
 import numpy as np
@@ -175,3 +176,63 @@ def test_sessions_without_a_common_part_are_refused():
     found = g1stream.compare(early, whole.sel(time=slice(0.85, None)))
     assert found.stop_s - found.start_s == pytest.approx(0.15, abs=0.01)
     assert found.metrics["rmse"].base == pytest.approx(0.01, rel=0.1)
+
+
+def ended(played, reason="", *, support="bolted", **wrong):
+    """A session of a motion of 2 s of which `played` s were played, and why it ended."""
+    stream = {"reason": reason, "support": support, "commands": 1000}
+    metadata = {"stream": stream, "motion": {"name": "dance", "fps": 30.0, "frames": 61}}
+    return session(seconds=played, metadata=metadata, **wrong)
+
+
+WHOLE = {"completed": 1.0, "played": 1.0, "success": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("run", "as_asked"),
+    [
+        (ended(2.0, bias=0.02), WHOLE),
+        (ended(1.2, "SIGINT"), {"completed": 0.0, "played": 0.6, "success": 0.0}),
+        (ended(2.0, "SIGTERM"), WHOLE | {"completed": 0.0, "success": 0.0}),  # in HOLD
+        (ended(1.2, None), {"completed": None, "played": 0.6}),  # its recorder was killed
+        (ended(2.0, support="free", gaps=((1.0, 0.06),)), WHOLE | {"completed": 0.0}),  # void
+    ],
+)
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_run_that_was_not_played_as_asked_is_in_the_verdict(run, as_asked, side):
+    sides = [ended(2.0, bias=0.01), run]
+    found = g1stream.compare(*(sides if side else reversed(sides)))
+    expected = {name: value for name, value in as_asked.items() if value is not None}
+    assert found.as_asked == pytest.approx(expected, abs=0.01)
+    short = min(expected.values()) < 1.0
+    assert list(found.incomplete) == [str(run.path)] * short
+    assert all(reason in verdict(found) for reason in found.incomplete.values())
+
+
+def test_what_is_not_known_of_a_log_does_not_count_against_it():
+    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    assert (found.as_asked, found.incomplete) == ({}, {})
+    part = ended(2.0, bias=0.01).sel(time=slice(0.0, 1.5))
+    found = g1stream.compare(ended(2.0, bias=0.03), part)
+    assert (found.as_asked, found.incomplete) == ({"completed": 1.0, "success": 1.0}, {})
+
+
+def test_a_run_that_was_stopped_fails_whatever_its_error_is(tmp_path, capsys):
+    for name, played, reason in (("whole", 2.0, ""), ("stopped", 1.2, "SIGINT")):
+        run = ended(played, reason, bias=0.02 if name == "whole" else 0.01)
+        run.save(tmp_path / f"{name}.mcap")
+    whole, stopped = (str(tmp_path / f"{name}.mcap") for name in ("whole", "stopped"))
+    smaller = ["--fail-if", "rmse > 1.1 * base"]
+    assert main(["compare", whole, "--with", stopped]) == 0  # nothing was tested
+    for sides in ((whole, stopped), (stopped, whole)):
+        assert main(["compare", sides[0], "--with", sides[1], "--fail-if", "rmse > 1"]) == 1
+    assert main(["compare", whole, "--with", stopped, *smaller]) == 1
+    assert main(["compare", whole, "--with", stopped, *smaller, "--fail-if", "played < 0.5"]) == 0
+    for condition in ("played < 0.7", "completed < 1", "success < 1"):
+        assert main(["compare", whole, "--with", stopped, "--fail-if", condition]) == 1
+    assert main(["compare", whole, "--with", stopped, "--fail-if", "played < 1 * base"]) == 2
+    capsys.readouterr()
+    assert main(["compare", whole, "--with", stopped, "--json", *smaller]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["failed"] is True
+    assert list(document["incomplete"]) == [stopped]

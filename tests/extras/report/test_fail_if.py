@@ -57,3 +57,20 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(wrong, close, caps
     assert close in said.split("Choose from")[0].split("Close matches")[1]
     assert "mpjpe_world" in said
     assert CONDITION_NAMES[-1] in said
+
+
+@pytest.mark.parametrize(
+    ("texts", "added"),
+    [
+        ([], []),
+        (["rmse > 1"], ["completed < 1", "played < 1"]),
+        (["rmse > 1", "played < 0.5"], []),
+        (["success < 1"], []),
+    ],
+)
+def test_runs_must_be_played_as_asked_unless_a_condition_is_on_that(texts, added):
+    found = FailIf.parse_all(texts, CONDITION_NAMES)
+    assert [one.text for one in found] == [*texts, *added]
+    assert [one.default for one in found] == [False] * len(texts) + [True] * len(added)
+    for one in found:
+        assert one.holds(None) is (False if one.default else None)

@@ -59,7 +59,9 @@ class Library(SettingsCommand, QuietFlag):
     joints, and index.html. A file that is broken, or needs too much time or memory, has a row with
     the reason. If the command is interrupted, run it again to continue. It recomputes rows after
     changes of settings or versions. docs/library.md lists the columns. A condition names a column
-    with numbers or with yes (1) and no (0), or `ok`, which is 1 for a row whose status is ok.
+    with numbers or with yes (1) and no (0), or `ok`, which is 1 for a row whose status is ok. It
+    also fails if a simulated motion was not played to its end, unless a condition is on
+    `completed`, `played` or `success`.
 
     Examples:
       g1stream library check motions -o library
@@ -141,7 +143,7 @@ class Library(SettingsCommand, QuietFlag):
 
         self._check_flags()
         # Checked before the long computation.
-        conditions = [FailIf.parse(text, CONDITION_NAMES) for text in self.fail_if]
+        conditions = FailIf.parse_all(self.fail_if, CONDITION_NAMES)
         cases = self._cases()
         run, reasons = LibraryRun(), list[str]()
         with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
@@ -164,8 +166,9 @@ class Library(SettingsCommand, QuietFlag):
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
         print_lines("\n".join(lines), out)
         verdicts = [_verdict(one, rows, complete=run.complete) for one in conditions]
-        for one_failed, line in verdicts:
-            print_verdict(line, failed=one_failed, file=out)
+        for one, (one_failed, line) in zip(conditions, verdicts, strict=True):
+            if one_failed or not one.default:
+                print_verdict(line, failed=one_failed, file=out)
         failed = any(one_failed for one_failed, _ in verdicts)
         if reasons:
             return exit_code_of_signal(reasons[0]) or EXIT_STOPPED

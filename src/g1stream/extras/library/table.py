@@ -146,13 +146,15 @@ _PLAYABLE: Final = {"yes": 1.0, "inexact": 0.5, "no": 0.0}
 _KINDS: Final[set[Any]] = {bool, float, Int, Playable}
 CONDITION_NAMES: Final = (
     "ok",
+    "played",
     *(
         name
         for name, one in MotionRow.model_fields.items()
         if _KINDS.intersection(get_args(one.annotation))
     ),
 )
-"""The names for conditions on a row: its numeric or yes/no columns, and `ok`."""
+"""The names for conditions on a row: its numeric or yes/no columns, `ok`, and `played`, which is
+another name of `progress`, as in comparisons."""
 
 
 def condition_value(row: Mapping[str, Any], name: str) -> float | None:
@@ -162,7 +164,8 @@ def condition_value(row: Mapping[str, Any], name: str) -> float | None:
         row: row of the table of motions, with None or NaN for values that were not computed.
         name: one of `CONDITION_NAMES`.
     """
-    value = row["status"] == "ok" if name == "ok" else row[name]
+    column = "progress" if name == "played" else name
+    value = row["status"] == "ok" if name == "ok" else row[column]
     unknown = value is None or (isinstance(value, float) and isnan(value))
     return None if unknown else float(_PLAYABLE.get(value, value))
 

@@ -16,7 +16,7 @@ from pydantic import computed_field
 from g1stream.analysis.metrics import NAMED_METRICS, Metrics, metrics
 from g1stream.analysis.signals import Line, simulated
 from g1stream.analysis.summarise import flat, played
-from g1stream.analysis.summary import Summary
+from g1stream.analysis.summary import SuccessMetrics, Summary
 from g1stream.analysis.tracking import interpolated
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
@@ -45,8 +45,10 @@ __all__ = [
 ]
 
 _PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
+_AS_ASKED: Final = ("completed", "played", "success")
 CONDITION_NAMES: Final = (
     *NAMED_METRICS,
+    *_AS_ASKED,
     *(f"rmse.{part}" for part in _PARTS),
     *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
 )
@@ -82,6 +84,10 @@ class Comparison(Record):
             side, by term; those that both sides have.
         differs: other differences between the sides, such as `gains.kp of waist` -> the value on
             each side.
+        incomplete: path of each session that ended early, is void or played less than was asked ->
+            the reason.
+        as_asked: the lowest `completed` (0 for a void run), `played` (fraction of what was asked)
+            and `success` of all sessions, 0 to 1; those that are known.
     """
 
     motion: str
@@ -95,6 +101,8 @@ class Comparison(Record):
     terms: dict[str, Difference]
     terms_apart: dict[str, float]
     differs: dict[str, tuple[str, str]]
+    incomplete: dict[str, str]
+    as_asked: dict[str, float]
 
     def __str__(self) -> str:
         """The verdict, the compared part, other differences, and the table."""
@@ -140,7 +148,7 @@ class Comparison(Record):
         """The values that a condition can name, and the values of `base` for them.
 
         The first are those of the other side, such as `rmse` and `rmse.left_leg`, and the adjusted
-        p-values of the differences, such as `p.rmse` and `p.left_leg`.
+        p-values of the differences, such as `p.rmse` and `p.left_leg`, and `as_asked`.
         """
         parts = self.limbs | self.joints
         metrics = self.metrics | {f"rmse.{part}": one for part, one in parts.items()}
@@ -150,7 +158,7 @@ class Comparison(Record):
             if one.p_adjusted is not None
         }
         other = {name: one.other for name, one in metrics.items()}
-        return other | p, {name: one.base for name, one in metrics.items()}
+        return other | p | self.as_asked, {name: one.base for name, one in metrics.items()}
 
 
 def compare(
@@ -229,6 +237,8 @@ def compare(
         terms=_terms(observed) if observed else {},
         terms_apart=_apart(observed) if observed else {},
         differs=_circumstances(*sides),
+        incomplete={run.path: run.incomplete for run in runs if run.incomplete},
+        as_asked=_lowest([run.as_asked for run in runs]),
     )
     if page is not None:
         sources = [[run.source for run in side] for side in sides]
@@ -252,6 +262,8 @@ class _Run(NamedTuple):
     metrics: Metrics  # of the whole session
     measured: bytes  # hash of all joint positions and their times
     facts: dict[str, str]  # possible causes of a difference, beside the motion
+    as_asked: dict[str, float | None]  # as in `Comparison`
+    incomplete: str  # why it was not played as asked, or ""
 
     def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
         """Metrics of some joints in a part; of the whole session if it played little else."""
@@ -305,7 +317,39 @@ def _read(source: Session | str | Path) -> _Run:
         metrics=of_all,
         measured=hashlib.sha256(found.motion_time.tobytes() + found.measured.tobytes()).digest(),
         facts=dict(_facts(session, summary)),
+        **_as_asked(summary, of_all.success),
     )
+
+
+def _as_asked(summary: Summary, found: SuccessMetrics) -> dict[str, Any]:
+    """How much of what was asked was played: the last two fields of `_Run`."""
+    # A selected part is shorter because it was asked for; what others were asked is unknown.
+    played = None if summary.selected or summary.attached else found.progress
+    completed, void = found.completed, found.spoilt_by_ms
+    incomplete = ""
+    if void:
+        incomplete = f"void: the robot's time stopped or jumped by {void:.0f} ms"
+    elif completed is False:
+        ended = summary.termination
+        incomplete = f"ended early: {ended.reason or ended.guard}"
+    elif played is not None and played < 1.0:
+        incomplete = f"{played:.0%} of what was asked was recorded"
+    values = (False if void else completed), played, found.success
+    known = {
+        name: None if value is None else float(value)
+        for name, value in zip(_AS_ASKED, values, strict=True)
+    }
+    return {"as_asked": known, "incomplete": incomplete}
+
+
+def _lowest(runs: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    """The lowest value of each name; without those that are unknown, unless another is below 1."""
+    found = {}
+    for name in _AS_ASKED:
+        known = [value for one in runs if (value := one[name]) is not None]
+        if known and (len(known) == len(runs) or min(known) < 1.0):
+            found[name] = min(known)
+    return found
 
 
 def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
@@ -559,6 +603,8 @@ def _welch(a: Floats, b: Floats) -> float | None:
     return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
 
 
+#: Number of sessions that were not played as asked that the verdict names.
+_MOST_SHORT: Final = 3
 #: Number of joints in the table.
 _MOST_JOINTS: Final = 8
 #: From this fraction of the base on a change is printed as a factor.
@@ -579,7 +625,13 @@ def _row(name: str, one: Difference) -> tuple[str, ...]:
 
 
 def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
-    """The change of the tracking error, in one sentence."""
+    """The change of the tracking error, in one sentence; before it, the runs that do not count."""
+    short = [f"{Path(path).name} {why}" for path, why in comparison.incomplete.items()]
+    if short:
+        of = counted(len(comparison.base) + len(comparison.other), "session")
+        more = f", and {len(short) - _MOST_SHORT} more" * (len(short) > _MOST_SHORT)
+        text = f"{len(short)} of {of} not played as asked ({'; '.join(short[:_MOST_SHORT])}{more})"
+        return f"{text}. {verdict(comparison.model_copy(update={'incomplete': {}}), unit)}"
     rmse, joints = comparison.metrics["rmse"], comparison.joints.values()
     base, other = (math.degrees(x) if unit == "deg" else x for x in (rmse.base, rmse.other))
     for digits in range(_FEWEST_DIGITS, _MOST_DIGITS + 1):

@@ -32,16 +32,22 @@ class Compare(SessionFlags, QuietFlag):
     `rmse.left_leg` or `rmse.left_knee_joint`, or the p-value of a difference: `p.rmse`,
     `p.left_leg` or `p.left_knee_joint`. `base` is the base's mean of the same metric.
 
+    A condition also fails if a session of either side ended early, is void, or played less than was
+    asked. A condition on `completed`, `played` or `success` replaces this rule; these names have
+    the lowest value of all sessions.
+
     Examples:
       g1stream compare before.mcap --with after.mcap
       g1stream compare a1.mcap a2.mcap a3.mcap --with b1.mcap b2.mcap b3.mcap
       g1stream compare good.mcap --with new.mcap -o compare.html
       g1stream compare good.mcap --with new.mcap --fail-if 'rmse > 1.1 * base'
       g1stream compare good?.mcap --with new?.mcap --fail-if 'p.rmse < 0.05'
+      g1stream compare a.mcap --with b.mcap --fail-if 'rmse > 0.02' --fail-if 'played < 0.5'
 
     Exit codes:
       0  compared
-      1  a condition of --fail-if holds, or the sessions lack its metric
+      1  a condition of --fail-if holds, or the sessions lack its metric, or
+         with --fail-if a session was not played as asked
       2  bad input: not sessions of the same motion, an invalid condition,
          a page that cannot be written
     """
@@ -63,6 +69,7 @@ class Compare(SessionFlags, QuietFlag):
 
     def run(self) -> int:
         """Compare, print, and return the exit code."""
+        from g1stream.analysis.metrics import NAMED_METRICS
         from g1stream.cli.fail_if import FailIf
         from g1stream.extras.report.compare import CONDITION_NAMES, compare
 
@@ -71,10 +78,10 @@ class Compare(SessionFlags, QuietFlag):
                 "Sessions on both sides are needed.",
                 "Give both: g1stream compare BASE... --with OTHER...",
             )
-        with_base = [name for name in CONDITION_NAMES if not name.startswith("p.")]
+        with_base = [name for name in CONDITION_NAMES if name.partition(".")[0] in NAMED_METRICS]
         # Checked before the sessions are read.
-        conditions = [FailIf.parse(text, CONDITION_NAMES, with_base) for text in self.fail_if]
-        tested = [one.name for one in conditions if one.name not in with_base]
+        conditions = FailIf.parse_all(self.fail_if, CONDITION_NAMES, with_base)
+        tested = [one.name for one in conditions if one.name.startswith("p.")]
         if tested and min(len(self.base), len(self.other)) < 2:
             raise ConfigError(
                 f"{tested[0]} needs several sessions to estimate the noise.",
@@ -93,6 +100,8 @@ class Compare(SessionFlags, QuietFlag):
         else:
             print_lines(str(comparison))
             for one, truth in zip(conditions, truths, strict=True):
+                if one.default and not truth:
+                    continue
                 verdict = {
                     False: "passed: {0.text} does not hold",
                     True: "FAILED: {0.text} holds",

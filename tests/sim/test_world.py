@@ -7,9 +7,9 @@ from g1stream.motion.readers import load_motion
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
+from g1stream.robot.rotations import quat_from_axis_angle, quat_rotate, quat_rotate_inverse
 from g1stream.sim.model import TORQUE_LIMIT
-from g1stream.sim.world import MotorCommand, World
+from g1stream.sim.world import MotorCommand, Root, World
 
 GRAVITY = 9.81
 
@@ -176,3 +176,15 @@ def test_dance_is_followed_as_by_unitree_mujoco(robot, real_clip, servo):
         errors.append(world.state().q - q)
         world.step(servo(q=q, dq=(there - here) * fps), 2)
     assert np.sqrt(np.mean(np.square(errors))) < 0.047
+
+
+def test_the_accelerometer_of_a_bolted_robot_turns_with_its_base(robot):
+    world, still = World(robot), np.zeros(3)
+    for angle in (0.5, -0.3):
+        quat = quat_from_axis_angle(np.array([1.0, 0.0, 0.0]), np.asarray(angle))
+        root = Root(np.array([0.0, 0.0, 1.5]), quat, still, still, playing=False)
+        world.set_state(np.zeros(N_JOINTS), np.zeros(N_JOINTS), root)
+        upward = quat_rotate_inverse(quat, np.array([0.0, 0.0, GRAVITY]))
+        imu = world.state().imu
+        assert imu.quat_wxyz == pytest.approx(quat)
+        assert imu.accelerometer == pytest.approx(upward, abs=1e-6)

@@ -167,10 +167,10 @@ class World:
         self._look = partial(mujoco.mj_step1, self.model, self.data)
         self._support.hold()
         mujoco.mj_forward(self.model, self.data)
-        self._imu, self._torso_imu = self._find_imu("imu"), self._find_imu("secondary_imu")
+        self._imus = self._find_imu("imu"), self._find_imu("secondary_imu")
 
     def _find_imu(self, name: str) -> Imu:
-        """The arrays of an IMU, which MuJoCo updates in place."""
+        """The arrays of an IMU, which MuJoCo updates in place, if its body can move."""
         quat, gyro, acc = (
             self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")
         )
@@ -241,6 +241,7 @@ class World:
         self.data.qacc_warmstart[:] = 0.0
         self._support.move(root)
         mujoco.mj_forward(self.model, self.data)
+        self._imus = self._find_imu("imu"), self._find_imu("secondary_imu")
 
     def _set_motors(self, command: MotorCommand) -> None:
         kp, kd, work, control = self._kp, self._kd, self._work, self._control
@@ -275,8 +276,8 @@ class World:
             dq=self._by_motor(data.actuator_velocity),
             ddq=self._by_motor(self._acceleration),
             tau_est=self._by_motor(self._applied),
-            imu=self._imu.copy(),
-            torso_imu=self._torso_imu.copy(),
+            imu=self._imus[0].copy(),
+            torso_imu=self._imus[1].copy(),
             base_pos=self._base_pos.copy(),
             base_lin_vel=self._base_lin_vel.copy(),
         )

@@ -11,6 +11,8 @@ contact loads a motor up to its limit, and a motor at its limit makes its joint 
 - start: PLAY began with the error, which RAMP had left.
 - lag: the joint did what was commanded its usual delay earlier.
 - no feed-forward: commands had no torque, so the servo needed the error to produce it.
+
+An error of less than a degree has no cause: the joint followed.
 """
 
 from __future__ import annotations
@@ -55,6 +57,8 @@ CauseName = Literal[
     "no feed-forward",
 ]
 
+#: A smaller error is no fault, rad.
+_SMALL: Final = math.radians(1.0)
 #: An error grows for at most this time, s: a leg swings back in that time.
 _GROWTH: Final = 0.3
 #: An error begins to grow at this fraction of its maximum, and its cause may be earlier by this, s.
@@ -89,7 +93,7 @@ class WorstError(Record):
         joint: name of the joint.
         error_rad: reference - measured.
         at_s: time since the motion's first frame.
-        cause: None if none was found.
+        cause: None if none was found, or if the error is below a degree and needs none.
         why: the evidence, in words; empty without a cause.
     """
 
@@ -103,7 +107,8 @@ class WorstError(Record):
         """The joint, the error, the time and the evidence."""
         size = f"{math.degrees(abs(self.error_rad)):.2f} deg"
         name = self.joint.removesuffix("_joint")
-        return f"{name} {size} at {self.at_s:.2f} s: {self.why or 'no cause found'}"
+        why = self.why or "no cause found" * (abs(self.error_rad) >= _SMALL)
+        return f"{name} {size} at {self.at_s:.2f} s" + (f": {why}" if why else "")
 
 
 def worst_error(
@@ -137,7 +142,7 @@ def worst_error(
         "no feed-forward": moment.no_feedforward,
     }
     found = ((cause, why) for cause, look in evidence.items() if (why := look()))
-    cause, why = (moment.error and next(found, None)) or (None, "")
+    cause, why = next(found, (None, "")) if abs(moment.error) >= _SMALL else (None, "")
     joint = JOINT_NAMES[moment.joint]
     at = float(tracking.motion_time[moment.worst])
     return WorstError(joint=joint, error_rad=moment.error, at_s=at, cause=cause, why=why)

@@ -104,6 +104,14 @@ def test_the_numbers_are_the_sessions(path):
 
 
 @pytest.mark.slow
+def test_headings_are_printed_as_they_are_written(tmp_path):
+    session = g1stream.rollout("demo", seconds=6.0)  # long enough for the delay's interval
+    text = g1stream.report(session, tmp_path / "report.html").read_text(encoding="utf-8")
+    heads = re.findall(r"<th[^>]*>([^<]*)", text)
+    assert "± 95 %" in heads
+    assert not [head for head in heads if "\\" in head]
+
+
 def test_the_figures_lose_no_peak(play, write_session, tmp_path):
     reference, measured = play(phases=((1, 0.5), (2, 9.0), (4, 0.2)))
     measured.q[4321, 7] += 0.5

@@ -52,7 +52,7 @@ class Table(NamedTuple):
 
 _DELAYS: Final = (
     Column("delay", "ms", "delay_s", ".1f", 1e3),
-    Column("±\u00a095\u00a0%", "ms", "delay_ci95_s", ".1f", 1e3),
+    Column("± 95 %", "ms", "delay_ci95_s", ".1f", 1e3),
     Column("correlation", "", "correlation", ".4f"),
 )
 _RATES: Final = (

@@ -53,8 +53,8 @@ def rollout(
     """Play a motion on a simulated robot, faster than real time, and return the session.
 
     Loop, safety and feed-forward are those of `stream`; the robot is the bridge's. Both advance in
-    lockstep: the robot's ticks are half a period after the loop's, and take no simulated time. The
-    same arguments therefore give the same messages, byte for byte.
+    lockstep: the robot's ticks are 1 ms after the loop's, at any rate, and take no simulated time.
+    The same arguments therefore give the same messages, byte for byte.
 
     The session is in memory and takes about 4.5 MB per second.
 

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from g1stream.cli.demo import Demo
 from g1stream.cli.flags import parse_flags
 from g1stream.cli.main import main
 from g1stream.cli.motion import Inspect
+from g1stream.cli.motion_flags import MotionFlags
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.motion.motion import Motion
@@ -121,3 +123,19 @@ def test_the_report_is_about_the_changed_motion(run):
 def test_a_session_at_no_speed_is_refused(capsys):
     assert main(["stream", "session.mcap", "--speed", "0"]) == 2
     assert "--speed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [("stream", "demo"), ("demo",), ("motion", "demo", "demo")])
+def test_motions_are_read_for_the_robot_of_the_parameters(command, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("g1.toml").write_text('robot = "g1_23dof"\n')
+    Path("config.toml").write_text('params = "g1.toml"\n')
+    robots = []
+
+    def load(self, motions, robot=None):
+        robots.append(robot)
+        raise ConfigError("That is enough.", "Nothing.")
+
+    monkeypatch.setattr(MotionFlags, "load", load)
+    assert main([*command, "--config", "config.toml"]) == 2
+    assert [robot.name for robot in robots] == ["g1_23dof"]

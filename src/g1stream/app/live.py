@@ -252,7 +252,7 @@ def _run_child(parent: Parent) -> None:
     settings = config.record
     if settings.channels == "raw":  # reduces the size of a file; viewers would show nothing
         settings = settings.model_copy(update={"channels": "standard"})
-    pipeline = MessagePipeline(G1.load(config.robot), settings)
+    pipeline = MessagePipeline(G1.of_config(config), settings)
     header = pipeline.file_header(time.time_ns())
     with (
         handled_by(ConsoleHandler(logging.WARNING, "live")),

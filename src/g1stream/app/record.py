@@ -77,7 +77,7 @@ def record(
         G1StreamError: the file, a setting or the wire is not valid.
     """
     config = config or Config()
-    settings, robot = config.record, G1.load(config.robot)
+    settings, robot = config.record, G1.of_config(config)
     path = Path(path)
     if settings.auto_name and session is None:
         path = timestamped(path, time.time_ns())

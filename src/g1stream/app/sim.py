@@ -55,7 +55,7 @@ def simulate(
     """
     config = config or Config()
     settings = config.sim
-    model = G1.load(config.robot, params=config.params)
+    model = G1.of_config(config)
     world = make_world(model, settings)
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))

@@ -67,7 +67,7 @@ class Demo(LiveCommand, MotionFlags):
         page = self.out / "report.html"
         if not self.force:
             check_absent(page)
-        motion = self.load([self.motion], G1.load(config.robot))
+        motion = self.load([self.motion], G1.of_config(config))
         print_warning(*motion.warnings)
         with playing() as prepare, ExitStack() as stack:
 

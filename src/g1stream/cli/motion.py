@@ -56,7 +56,7 @@ class Inspect(SettingsCommand, MotionPartFlags):
         from g1stream.robot.model import G1
 
         config = self.resolve()
-        robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
+        robot = G1.of_config(config)
         rate, margin = config.stream.rate, config.safety.position_margin
         evidence = None
         if len(self.motions) == 1:

@@ -216,7 +216,7 @@ class Stream(LiveCommand, MotionFlags):
         from g1stream.robot.model import G1
 
         config = self.resolve()
-        motion = self.load(self.motions, G1.load(config.robot))
+        motion = self.load(self.motions, G1.of_config(config))
         print_warning(*motion.warnings)
         announce_wire(config)
         with self.serving(config), playing() as prepare:

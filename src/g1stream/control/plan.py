@@ -107,7 +107,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         config = for_wire(config)
         simulated = is_local_only(config.dds.interface)
     settings = config.stream
-    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits, params=config.params)
+    robot = G1.of_config(config)
     played = robot.select(settings.played_joints)
     held = played if settings.others == "free" else robot.present
     if settings.via == "arm_sdk":

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.config import Config
     from g1stream.types import Floats
 
 __all__ = ["DEFAULT_URDF", "G1", "REVISIONS", "VARIANTS"]
@@ -198,6 +199,11 @@ class G1:
             ) from error
         robot = cls.from_urdf(urdf, str(path))
         return robot if own_limits else robot._within_builtin()
+
+    @classmethod
+    def of_config(cls, config: Config) -> G1:
+        """Load the robot of all settings that describe it; raises what `load` does."""
+        return cls.load(config.robot, own_limits=config.safety.urdf_limits, params=config.params)
 
     def _within_builtin(self) -> G1:
         builtin = [self._builtin(name) for name in REVISIONS]

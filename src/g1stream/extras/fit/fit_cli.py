@@ -69,7 +69,7 @@ class FitParameters(SettingsCommand, QuietFlag):
         if self.motion_out:
             from g1stream.extras.fit.excite import exciting_motion
 
-            motion = exciting_motion(G1.load(config.robot), seconds=self.seconds)
+            motion = exciting_motion(G1.of_config(config), seconds=self.seconds)
             print(motion.save(self.motion_out, force=self.force))
             return EXIT_OK
         from g1stream.app.session import open_session

@@ -41,7 +41,7 @@ class Physics(SettingsCommand, MotionFlags):
         from g1stream.robot.model import G1
 
         config = self.resolve()
-        robot = G1.load(config.robot, own_limits=config.safety.urdf_limits, params=config.params)
+        robot = G1.of_config(config)
         if robot.warning:
             print_warning(robot.warning)
         motion = self.load(self.motions, robot)

@@ -150,7 +150,7 @@ def _run_child(parent: Parent) -> None:
     """Publish for a parent process. The startup message is its config."""
     lower_priority()
     config: Config = parent.startup_message
-    robot = G1.load(config.robot)
+    robot = G1.of_config(config)
     with Participant(config.dds.domain, config.dds.interface) as participant:
         publisher = _Publisher(participant, robot)
         parent.ready()

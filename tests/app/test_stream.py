@@ -1,3 +1,5 @@
+import logging
+import threading
 from pathlib import Path
 
 import pytest
@@ -6,10 +8,14 @@ from g1stream.app import stream as program
 from g1stream.app.stream import stream
 from g1stream.child_process import Child, ChildError
 from g1stream.config import Config, DdsConfig
+from g1stream.control.sources import HeldTorques
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, SECONDARY_IMU, SecondaryImu
-from g1stream.errors import MotionError, RecordingError
+from g1stream.errors import MotionError, RecordingError, SafetyError
+from g1stream.events import handled_by
+from g1stream.motion.readers import load_motion
+from g1stream.types import Phase
 
 
 @pytest.fixture
@@ -79,3 +85,114 @@ def test_a_recorder_that_fails_is_reported_and_its_file_kept(
     assert summary.recorder.stopped == "It hangs."
     assert not summary.recorder.removed
     assert (tmp_path / "s.mcap").exists()
+
+
+class Kept(logging.Handler):
+    """Keeps the records that it handles."""
+
+    def __init__(self):
+        super().__init__()
+        self.records = []
+
+    def emit(self, record):
+        self.records.append(record)
+
+
+@pytest.fixture
+def raising(monkeypatch):
+    """Let the source raise an error in PLAY."""
+    command = HeldTorques.command
+
+    def make(error):
+        def fail(source, moment):
+            if moment.phase is Phase.PLAY:
+                raise error
+            return command(source, moment)
+
+        monkeypatch.setattr(HeldTorques, "command", fail)
+
+    return make
+
+
+QUICK = {"ramp": 0.3, "duration": 0.5, "hold": 0.1, "damp": 0.5}
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space"), KeyError("knee"), MotionError("No.", "")]
+)
+@pytest.mark.parametrize("recorded", [False, True])
+def test_an_error_after_the_first_command_is_the_reason(
+    bridge, config, raising, tmp_path, error, recorded
+):
+    raising(error)
+    config = config.model_copy(update={"stream": config.stream.model_copy(update=QUICK)})
+    kept = Kept()
+    with bridge(), handled_by(kept):
+        summary = stream("demo", config, record=tmp_path / "s.mcap" if recorded else None)
+    reason = error.cause.rstrip(".") if isinstance(error, MotionError) else repr(error)[:4]
+    assert summary.termination.reason.startswith(reason)
+    assert summary.stream.commands > 100
+    if recorded:
+        assert summary.phases[-1].phase is Phase.DAMP
+    places = [r.getMessage() for r in kept.records if "test_stream.py" in r.getMessage()]
+    assert len(places) == (not isinstance(error, MotionError))  # a bug's place
+
+
+def test_an_error_before_the_first_command_is_raised(bridge, config, monkeypatch):
+    def fail(*_):
+        raise KeyError("knee")
+
+    monkeypatch.setattr(HeldTorques, "begin", fail)
+    with bridge(), pytest.raises(KeyError):
+        stream("demo", config)
+
+
+@pytest.mark.parametrize(("code", "expected"), [(0, 1), (None, 1), (3, 3)])
+def test_an_exit_in_the_loop_is_no_success(bridge, config, raising, code, expected):
+    raising(SystemExit(code))
+    config = config.model_copy(update={"stream": config.stream.model_copy(update=QUICK)})
+    with bridge(), pytest.raises(SystemExit) as ended:
+        stream("demo", config)
+    assert ended.value.code == expected
+
+
+def test_a_recording_that_cannot_be_read_leaves_the_counters(bridge, config, tmp_path, monkeypatch):
+    finish = Child.finish
+
+    def damage(child, *arguments, **options):
+        result = finish(child, *arguments, **options)
+        if child.name == "record":
+            (tmp_path / "s.mcap").write_bytes(b"damaged")
+        return result
+
+    monkeypatch.setattr(Child, "finish", damage)
+    config = config.model_copy(update={"stream": config.stream.model_copy(update=QUICK)})
+    with bridge():
+        summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.termination.reason == ""
+    assert summary.tracking.compared_states > 100
+
+
+def test_a_rehearsal_is_silent_and_other_threads_are_not(monkeypatch):
+    """The level of the logger stays, as other threads log at it meanwhile."""
+    own, other = logging.getLogger("g1stream.rehearsed"), logging.getLogger("g1stream.other")
+    motion, kept, seen = load_motion("demo"), Kept(), []
+
+    def rollout(given, *, config, seconds):
+        own.warning("of the rehearsal")
+        own.critical("of the rehearsal")
+        thread = threading.Thread(target=other.info, args=("meanwhile",))
+        thread.start()
+        thread.join()
+        seen.append(given)
+        raise SafetyError("It fails.", "")
+
+    monkeypatch.setattr("g1stream.app.rollout.rollout", rollout)
+    with handled_by(kept):
+        with pytest.raises(SafetyError):
+            program._rehearse(motion, Config.model_validate({"stream": {"rehearse": 1.0}}))
+        own.info("afterwards")
+    told = [record.getMessage() for record in kept.records]
+    assert told[-2:] == ["meanwhile", "afterwards"]
+    assert not [one for one in told if one == "of the rehearsal"]
+    assert seen == [motion]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.app.arming import confirm_arming, require_arming
@@ -27,7 +29,7 @@ from g1stream.session.parts import check_recording_path
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
@@ -59,7 +61,8 @@ def stream(
     """Play a motion on the robot that subscribes to LowCmd, and return its summary.
 
     The robot is always damped before this returns or raises. If this process cannot do it, a guard
-    process does. After the first command, an error does not raise but is the reason in the summary.
+    process does. After the first command, an error does not raise but is the reason in the summary;
+    the place of a bug is logged, and its traceback at level DEBUG.
     Events are logged below the logger `g1stream`, and published on rt/g1stream/log.
 
     Args:
@@ -72,6 +75,7 @@ def stream(
         on_loop: called with the loop before it runs, to display it or to stop it.
 
     Raises:
+        SystemExit: a signal handler of the caller raised it; its code is then not 0.
         SafetyError: it is not armed, the motion exceeds the robot's limits, or there is another
             publisher of LowCmd.
         G1StreamError: a file, a setting or the wire is not valid.
@@ -89,7 +93,11 @@ def stream(
         # Not earlier, so that the guard starts and the participant discovers others meanwhile.
         from g1stream.control.loop import make_loop
         from g1stream.control.plan import plan
+        from g1stream.motion.motion import Motion
+        from g1stream.motion.readers import load_motion
 
+        if not isinstance(motion, Motion):
+            motion = load_motion(motion)  # once for both
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
         if config.stream.policy and config.stream.rehearse:
@@ -135,7 +143,10 @@ def _summarise(
 
     met = played.commands or played.states_used  # otherwise the file has nothing of a motion
     if met and recording and not recording.stopped and not recording.removed:
-        return open_session(recording.path).summary()
+        try:
+            return open_session(recording.path).summary()
+        except (G1StreamError, OSError) as error:  # the motion was played nevertheless
+            _LOGGER.error("the recording cannot be read: %s", error)
     followed = errors_of_run(report.error, planned.played)
     return summarise_run(
         planned.config,
@@ -158,9 +169,16 @@ def _run(loop: StreamLoop, guard: Guard) -> None:
     try:
         with guard.protecting(loop):
             loop.run()
-    except G1StreamError:
+    except SystemExit as error:  # 0 would mean that the motion was played
+        raise SystemExit(error.code or 1) from error
+    except Exception as error:
         if not loop.report.commands:
             raise
+        if not isinstance(error, G1StreamError):
+            frames = reversed(extract_tb(error.__traceback__))
+            places = (f"{Path(one.filename).name}:{one.lineno} ({one.name})" for one in frames)
+            _LOGGER.error("%r was raised in %s", error, ", called by ".join(places))
+            _LOGGER.debug("traceback", exc_info=True)
 
 
 class _RecorderChild:
@@ -224,22 +242,17 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
     return path
 
 
-def _rehearse(motion: Motion | str | Path, config: Config) -> None:
+def _rehearse(motion: Motion, config: Config) -> None:
     """Refuse a policy that fails in the simulator within the first seconds of the motion."""
     from g1stream.app.rollout import rollout  # slow to import
 
     settings = config.stream
     seconds = min(settings.rehearse, settings.duration or settings.rehearse)
     _LOGGER.info("rehearsal: %g s in the simulator", seconds)
-    logger = logging.getLogger("g1stream")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)  # the rehearsal's events are not the stream's
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
     asked = config.model_copy(update={"stream": standing})
-    try:
+    with _unlogged():  # its events are not the stream's
         reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
-    finally:
-        logger.setLevel(level)
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
             f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
@@ -247,6 +260,24 @@ def _rehearse(motion: Motion | str | Path, config: Config) -> None:
         )
     if reason:
         _LOGGER.warning("rehearsal: %s", reason)
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep events of this thread, and of no other, from the handlers that exist."""
+    thread, logger, root = threading.get_ident(), logging.getLogger("g1stream"), logging.getLogger()
+
+    def of_others(record: logging.LogRecord) -> bool:
+        return record.thread != thread or not record.name.startswith(logger.name)
+
+    handlers = [*logger.handlers, *root.handlers]
+    for one in handlers:
+        one.addFilter(of_others)
+    try:
+        yield
+    finally:
+        for one in handlers:
+            one.removeFilter(of_others)
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:

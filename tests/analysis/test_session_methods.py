@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 import g1stream
+from g1stream.app.session import Session
 from g1stream.errors import RecordingError
+from g1stream.session.mcap_reader import Messages
+from g1stream.session.source import MemorySource
+from g1stream.session.writer import SessionWriter
+from g1stream.testing import SyntheticSession
 from g1stream.types import Phase
 from known_sessions import write_known
 
@@ -58,6 +63,41 @@ def test_an_empty_part_is_not_saved(session, tmp_path):
     with pytest.raises(RecordingError, match=r"-0\.5 to 4\.5 s"):
         part.save(tmp_path / "part.mcap")
     assert not list(tmp_path.glob("part*"))
+
+
+class LongSource(MemorySource):
+    """A session that is read in batches of half a second, and counts the messages that were."""
+
+    read = 0
+
+    def batches(self, topics):
+        for topic, whole in super().batches(topics):
+            for i in range(0, len(whole.data), 250):
+                part = slice(i, i + 250)
+                self.read += len(whole.data[part])
+                yield topic, Messages(*(values[part] for values in whole))
+
+
+def test_a_session_is_saved_as_it_is_read(tmp_path, monkeypatch):
+    """The memory that it takes does not grow with its length."""
+    source, ahead = LongSource(), []
+    SyntheticSession(12.0).write(source)
+    write_batch, written = SessionWriter.write_batch, [0]
+
+    def write(writer, topic, payloads, log_times, publish_times):
+        written[0] += len(payloads)
+        ahead.append(source.read - written[0])
+        write_batch(writer, topic, payloads, log_times, publish_times)
+
+    session = Session(source)
+    monkeypatch.setattr(SessionWriter, "write_batch", write)
+    source.read = 0
+    path = session.save(tmp_path / "long.mcap")
+    assert written[0] == source.read == sum(source.topics.values()) > 20_000
+    assert max(ahead) < 2.0 * 500 * len(source.topics)  # 2 s
+    saved = g1stream.open_session(path)
+    for topic in source.topics:
+        assert list(saved.messages(topic)) == list(session.messages(topic))
 
 
 def test_an_unknown_phase_is_named_beside_those_there_are(session):

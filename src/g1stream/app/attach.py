@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from heapq import merge
-from itertools import chain, repeat
+from collections.abc import Callable
+from itertools import chain
 from mimetypes import guess_type
 from pathlib import Path
 from typing import Final
 
 from g1stream.app.session import Session
-from g1stream.dds.messages import Batch
 from g1stream.files import check_not_input, complete_file
 from g1stream.session.format import CHANNEL_OF
 from g1stream.session.writer import SessionWriter
@@ -19,8 +16,6 @@ from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["write_attached"]
 
-#: Messages are encoded in blocks of this log time, ns.
-_ROUND: Final = 1_000_000_000
 _DDS_TOPICS: Final = {topic: name for name, topic in CHANNEL_OF.items()}
 _LOG: Final = "/log"
 
@@ -55,7 +50,7 @@ def write_attached(
     pipeline = MessagePipeline(robot, policy=session.policy_info)
     topics = [t for t in (*_DDS_TOPICS, _LOG) if session.topics.get(t)]
     total, done = sum(session.topics[topic] for topic in topics), 0
-    rounds = _rounds(session, topics)
+    rounds = session.rounds(topics)
     first = next(rounds)
     start = min(batch.log_times[0] for batch in first.values())
     with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
@@ -76,21 +71,3 @@ def write_attached(
         if pipeline.base:
             writer.add_metadata({"measured_tf": pipeline.base.summary().model_dump(mode="json")})
     return path
-
-
-def _rounds(session: Session, topics: list[str]) -> Iterator[Mapping[str, Batch]]:
-    """The messages by topic, in blocks of log time, in order of log time."""
-    streams = (zip(session.messages(topic), repeat(topic)) for topic in topics)
-    batches: dict[str, Batch] = defaultdict(Batch)
-    end = None
-    for message, topic in merge(*streams, key=lambda pair: pair[0].log_time):
-        if end is None or message.log_time >= end:
-            if batches:
-                yield batches
-            batches, end = defaultdict(Batch), message.log_time + _ROUND
-        batch = batches[topic]
-        batch.data.append(message.data)
-        batch.log_times.append(message.log_time)
-        batch.publish_times.append(message.publish_time)
-    if batches:
-        yield batches

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from heapq import merge
+from itertools import chain
 from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.dds.messages import Batch
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file, output_errors
 from g1stream.optional import extension, import_extra
@@ -208,12 +209,9 @@ class Session(Recording):
         path, whole = Path(path), Session(self.source)
         topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
         before = {topic for topic in topics if self.selected and CHANNELS[topic].latched}
-        messages = [
-            [(message, topic) for message in self.messages(topic)]
-            for topic in topics
-            if topic not in before
-        ]
-        if self.selected and not any(messages):
+        rounds = self.rounds(topic for topic in topics if topic not in before)
+        first = next(rounds, {})
+        if self.selected and not first:
             raise RecordingError(
                 "The selected part has no messages.",
                 f"Select a part of the session, {whole.phases[0].start_s:.1f} to "
@@ -221,18 +219,19 @@ class Session(Recording):
                 if whole.phases
                 else "Select a part that begins before the session ends.",
             )
-        start = min((found[0][0].log_time for found in messages if found), default=0)
+        start = min((batch.log_times[0] for batch in first.values()), default=0)
         for topic in sorted(before):
             every = list(whole.messages(topic))
             newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
-            messages.append([(newest._replace(log_time=start), topic)])
+            first[topic] = Batch([newest.data], [start], [newest.publish_time])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
             writer.add_metadata(self.metadata)
             for name, data in self.attachments.items():
                 media_type = guess_type(name)[0] or "application/octet-stream"
                 writer.attach(name, media_type, data, self.start_ns)
-            for message, topic in merge(*messages, key=lambda pair: pair[0].log_time):
-                writer.write(topic, message.data, message.log_time, message.publish_time)
+            for batches in chain([first], rounds):
+                for topic, batch in batches.items():
+                    writer.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
         return path
 
     def to_dataframe(self, topic: str | None = None) -> pandas.DataFrame:

@@ -5,16 +5,17 @@ It has only recorded data; `g1stream.Session` adds computed results.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from functools import cached_property, wraps
-from itertools import compress
+from heapq import merge
+from itertools import compress, repeat
 from pathlib import Path
 from types import MappingProxyType, NoneType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from g1stream.dds.messages import Samples
+from g1stream.dds.messages import Batch, Samples
 from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
@@ -40,7 +41,7 @@ from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -57,6 +58,9 @@ _ESSENTIAL: Final = (ReferenceStream.topic, CommandStream.topic, MeasuredStream.
 
 #: Rows that have room at once, 70 minutes at 500 Hz; a file may say that it has any number of them.
 _ROWS: Final = 2**21
+
+#: Log time of a block of messages, ns.
+_BLOCK: Final = 1_000_000_000
 
 T = TypeVar("T")
 RecordingT = TypeVar("RecordingT", bound="Recording")
@@ -373,6 +377,26 @@ class Recording:
         for _, batch in self.source.batches({topic}):
             times_ns = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times_ns, batch.data)
+
+    def rounds(self, topics: Iterable[str]) -> Iterator[dict[str, Batch]]:
+        """The messages of some topics in blocks of a second of log time, by topic, in its order.
+
+        Memory does not grow with the length of the recording.
+        """
+        several = (zip(self.messages(topic), repeat(topic)) for topic in topics)
+        block: dict[str, Batch] = defaultdict(Batch)
+        end: int | None = None
+        for message, topic in merge(*several, key=lambda pair: pair[0].log_time):
+            if end is None or message.log_time >= end:
+                if block:
+                    yield block
+                block, end = defaultdict(Batch), message.log_time + _BLOCK
+            batch = block[topic]
+            batch.data.append(message.data)
+            batch.log_times.append(message.log_time)
+            batch.publish_times.append(message.publish_time)
+        if block:
+            yield block
 
     def replay_bytes(self, topic: str = CommandStream.topic) -> Iterator[bytes]:
         """The samples of a DDS topic, bit for bit as they were published, in order."""

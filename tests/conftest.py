@@ -8,6 +8,7 @@ import json
 import os
 import re
 import runpy
+import shutil
 import signal
 import socket
 import subprocess
@@ -268,6 +269,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.alone)
         if {"integration", "faults"} & set(item.path.parts):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def network_namespace() -> Iterator[Callable[..., str]]:
+    """Make a network namespace of the test's own with commands of ip(8); gives its name."""
+    if os.geteuid() or not shutil.which("ip"):
+        pytest.skip("a network of its own needs root and ip")
+    names = []
+
+    def make(*commands: str) -> str:
+        name = f"g1test{os.getpid()}n{len(names)}"
+        subprocess.run(["ip", "netns", "add", name], check=True)
+        names.append(name)
+        for command in commands:
+            subprocess.run(["ip", "-n", name, *command.split()], check=True)
+        return name
+
+    yield make
+    for name in names:
+        subprocess.run(["ip", "netns", "delete", name], check=True)
 
 
 @pytest.fixture

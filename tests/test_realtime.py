@@ -56,30 +56,30 @@ def test_a_reported_priority_is_in_force():
             assert os.sched_getparam(0).sched_priority == 7
 
 
-def test_threads_of_dds_get_the_next_lower_priority(domain_id, until):
-    with Participant(domain_id, "lo"):
-        until(lambda: len(realtime._threads_of_dds()) >= 3, "Cyclone to name its threads")
-        threads = realtime._threads_of_dds()
-        with on_time(priority=7) as grants:
+def test_threads_of_dds_get_the_next_lower_priority(domain_id):
+    with Participant(domain_id, "lo") as participant:
+        threads = participant.threads
+        with on_time(priority=7, helpers=threads) as grants:
             inside = {os.sched_getparam(thread).sched_priority for thread in threads}
         after = {os.sched_getscheduler(thread) & POLICY for thread in threads}
     assert inside == ({6} if by_name(grants)["SCHED_FIFO"].granted else {0})
     assert after == {os.SCHED_OTHER}
 
 
-def test_threads_of_others_keep_theirs(until):
-    """One that a library has started, such as a pool of torch."""
+@pytest.mark.parametrize("name", [b"torch-worker", b"gc", b"recv"])
+def test_threads_of_others_keep_theirs(domain_id, name):
+    """One that a library has started, perhaps with the name of one of Cyclone's."""
     named, done, threads = threading.Event(), threading.Event(), []
 
     def work():
         threads.append(threading.get_native_id())
-        ctypes.CDLL(None).prctl(15, b"torch-worker")  # PR_SET_NAME
+        ctypes.CDLL(None).prctl(15, name)  # PR_SET_NAME
         named.set()
         done.wait()
 
     _thread.start_new_thread(work, ())
     named.wait()
-    with on_time(PRIORITY):
+    with Participant(domain_id, "lo") as own, on_time(PRIORITY, helpers=own.threads):
         inside = os.sched_getscheduler(threads[0]) & POLICY
     done.set()
     assert inside == os.SCHED_OTHER

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import socket
+import struct
+from contextlib import suppress
 from enum import IntFlag
-from pathlib import Path
+from typing import Final
 
 from g1stream.errors import WireError
 
@@ -38,6 +41,9 @@ def require_interface(interface: str) -> None:
         )
 
 
+_SIOCGIFFLAGS: Final = 0x8913  # <linux/sockios.h>
+
+
 class InterfaceFlags(IntFlag):
     """Kernel flags of a network interface, IFF_* in netdevice(7)."""
 
@@ -47,11 +53,16 @@ class InterfaceFlags(IntFlag):
 
 
 def interface_flags(interface: str) -> InterfaceFlags:
-    """Read the kernel flags of an interface; if they cannot be read, `lo` is the loopback."""
-    try:
-        return InterfaceFlags(int(Path("/sys/class/net", interface, "flags").read_text(), 16))
-    except OSError:
-        return InterfaceFlags.LOOPBACK if interface == "lo" else InterfaceFlags(0)
+    """Read the kernel flags of an interface; none if they cannot be read.
+
+    /sys may show the interfaces of another network namespace, a socket belongs to this one's.
+    """
+    request = struct.pack("16sH14x", interface.encode(), 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket, suppress(OSError):
+        return InterfaceFlags(
+            struct.unpack("16xH14x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request))[0]
+        )
+    return InterfaceFlags(0)
 
 
 def is_loopback(interface: str) -> bool:

@@ -10,16 +10,14 @@ import ctypes
 import gc
 import os
 import platform
-import re
 import sys
-import threading
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 __all__ = [
     "Grant",
@@ -37,8 +35,6 @@ _RESET_ON_FORK = 1  # <linux/sched.h>
 #: The shortest time slice that Linux gives, ns. A thread with a short slice soon gets a CPU.
 _SLICE = 100_000
 _BACKGROUND_NICE = 5
-#: Names of the threads of Cyclone 0.10 and 11.
-_OF_CYCLONE = re.compile(r"recv(UC|MC)?|tev|gc|lease|(dq|tev|xmit)\..*")
 #: Maximum time for which another thread holds the GIL, for example while it writes a file, s.
 _SWITCH_INTERVAL = 1e-4
 
@@ -55,17 +51,20 @@ class Grant:
 
 
 @contextmanager
-def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
+def on_time(
+    priority: int, cpu: int | None = None, helpers: Sequence[int] = ()
+) -> Iterator[list[Grant]]:
     """Context manager that gives the calling thread the lowest latency that the system allows.
 
     It requests SCHED_FIFO, or a short time slice if that is denied, locked memory, timers without
     slack, and an isolated CPU if there is one. It disables Python's garbage collector and limits
-    the wait for the GIL to 0.1 ms. Existing DDS threads get the next lower priority, or the same
-    time slice. Threads and processes that are started inside do not inherit the priority.
+    the wait for the GIL to 0.1 ms. The helpers get the next lower priority, or the same time slice.
+    Threads and processes that are started inside do not inherit the priority.
 
     Args:
         priority: SCHED_FIFO priority, 1 to 99; 0: normal scheduling.
         cpu: the only CPU to run on; None: an isolated CPU, or any if there is none.
+        helpers: ids of threads that the calling one depends on, such as `Participant.threads`.
 
     Yields:
         The result of each request.
@@ -75,7 +74,7 @@ def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
     gc.freeze()
     gc.disable()
     try:
-        with _quick_thread_switches(), _linux_thread(priority, cpu) as grants:
+        with _quick_thread_switches(), _linux_thread(priority, cpu, helpers) as grants:
             yield [*grants, Grant("garbage collector", granted=True, detail="frozen")]
     finally:
         if collecting:
@@ -95,13 +94,12 @@ def _quick_thread_switches() -> Iterator[None]:
 
 
 @contextmanager
-def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
+def _linux_thread(priority: int, cpu: int | None, helpers: Sequence[int]) -> Iterator[list[Grant]]:
     if sys.platform != "linux":
         yield [Grant("SCHED_FIFO", granted=False, detail="only on Linux")]
         return
     affinity, slack = os.sched_getaffinity(0), _timer_slack()
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    helpers = _threads_of_dds()
     try:
         fifo = _ask_for_fifo(priority, helpers)
         yield [
@@ -139,7 +137,7 @@ def describe(grants: list[Grant]) -> str:
     return ", ".join(f"{g.what} {g.detail if g.granted else 'not granted'}" for g in grants)
 
 
-def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
+def _ask_for_fifo(priority: int, helpers: Sequence[int]) -> Grant:
     what = "SCHED_FIFO"
     if not priority:
         return Grant(what, granted=False, detail="not requested: the priority is 0")
@@ -175,7 +173,7 @@ class _Scheduling(ctypes.Structure):
     )
 
 
-def _ask_for_short_slice(helpers: list[int]) -> Grant:
+def _ask_for_short_slice(helpers: Sequence[int]) -> Grant:
     """Request a short time slice, which gets a CPU before long ones and needs no permission."""
     for thread in helpers:
         _set_slice(thread, _SLICE)
@@ -200,20 +198,6 @@ def _set_slice(thread: int, runtime: int) -> bool:
     _libc().syscall(set_attributes, thread, ctypes.byref(now), 0)
     _libc().syscall(get_attributes, thread, ctypes.byref(now), size, 0)
     return bool(now.runtime == runtime)
-
-
-def _threads_of_dds() -> list[int]:
-    """Ids of Cyclone's threads in this process, found by their names.
-
-    The loop depends on the messages that they receive, and sometimes on a lock that one holds.
-    """
-    ours, found = {thread.native_id for thread in threading.enumerate()}, []
-    for task in Path("/proc/self/task").iterdir():
-        with suppress(OSError):  # it has ended meanwhile
-            name = (task / "comm").read_text().strip()
-            if int(task.name) not in ours and _OF_CYCLONE.fullmatch(name):
-                found.append(int(task.name))
-    return found
 
 
 def _ask_for_memory() -> Grant:

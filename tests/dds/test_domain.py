@@ -1,7 +1,10 @@
 import gc
 import os
 import socket
+import subprocess
 import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -65,7 +68,7 @@ def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_pa
     )
     with Participant(domain_id, "lo") as participant:
         assert participant.uses_environment
-        assert domain_id not in Participant._domains
+        assert len(participant.sockets) >= 3
         assert "127.0.0.1" in trace.read_text()
     monkeypatch.delenv("CYCLONEDDS_URI")
     with Participant(domain_id, "lo") as participant:
@@ -129,6 +132,67 @@ def test_two_participants_share_a_domain_and_the_last_one_ends_it(domain_id):
     assert reader.take_latest() is not None
     second.close()
     assert domain_id not in Participant._domains
+
+
+def test_a_participant_knows_cyclones_threads_and_sockets(domain_id, until):
+    def name(thread):
+        return Path(f"/proc/self/task/{thread}/comm").read_text().strip()
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        with Participant(domain_id, "lo") as first, Participant(domain_id, "lo") as second:
+            assert first.threads == second.threads
+            assert first.sockets == second.sockets
+            until(lambda: {"gc", "recv", "tev"} <= set(map(name, first.threads)), "their names")
+            assert threading.get_native_id() not in first.threads
+            assert stranger.fileno() not in first.sockets
+            ports = set()
+            for descriptor in first.sockets:
+                with socket.socket(fileno=os.dup(descriptor)) as one:
+                    ports.add(one.getsockname()[1])
+        assert {7400 + 250 * domain_id + offset for offset in (0, 1, 10, 11)} < ports
+
+
+def test_a_muted_participant_prints_nothing_and_the_next_one_does(domain_id, capfd):
+    def fail_to_send():
+        with Participant(domain_id, "lo") as participant:
+            for descriptor in participant.sockets:
+                with suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as one:
+                    one.shutdown(socket.SHUT_WR)
+            yield participant
+
+    for participant in fail_to_send():
+        participant.mute()
+    assert capfd.readouterr().err == ""
+    for _ in fail_to_send():
+        pass
+    assert "ddsi_udp_conn_write" in capfd.readouterr().err
+
+
+def test_flags_are_those_of_an_interface_in_this_network_namespace(network_namespace):
+    """/sys still shows the host's, and a name says nothing."""
+    netns = network_namespace(
+        "link set lo name loop0", "link add lo type veth peer name far", "link set lo up"
+    )
+    code = (
+        "from g1stream.dds.domain import is_loopback as f; print([f(n) for n in ('lo', 'loop0')])"
+    )
+    command = ["nsenter", f"--net=/run/netns/{netns}", sys.executable, "-c", code]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[False, True]"
+
+
+def test_those_that_are_there_are_found_among_many_that_have_left(domain_id, until, monkeypatch):
+    monkeypatch.setattr("g1stream.dds.domain._AT_ONCE", 4)
+    with Participant(domain_id, "lo") as observer, Participant(domain_id, "lo") as other:
+        for _ in range(20):
+            gone = [RawWriter(other, LOWCMD) for _ in range(2)]
+            until(lambda: observer.writers(LOWCMD.name), "its discovery")
+            for one in gone:
+                one.close()
+            until(lambda: not observer.writers(LOWCMD.name), "its departure")
+        held = [RawWriter(other, topic) for topic in TOPICS]
+        until(lambda: len(observer.writers()) == len(held), "all of them")
+        assert len(observer._writers._reader.read(1024)) <= 2 * len(held)
 
 
 def test_another_process_is_listed_with_its_id(domain_id, peer_on, until):

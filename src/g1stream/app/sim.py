@@ -77,7 +77,7 @@ def simulate(
             onboard=extension("simulated_service")(participant, settings.onboard),
             view=view if window else None,
         )
-        granted = stack.enter_context(on_time(_priority(config)))
+        granted = stack.enter_context(on_time(_priority(config), helpers=participant.threads))
         on_ready()
         on_report(robot.report)
         _LOGGER.info(describe(granted))

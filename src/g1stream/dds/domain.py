@@ -9,8 +9,11 @@ interface needs no such configuration.
 from __future__ import annotations
 
 import os
+import threading
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from cyclonedds.builtin import (
@@ -19,10 +22,19 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsPublication,
     BuiltinTopicDcpsSubscription,
 )
-from cyclonedds.core import DDSException, InstanceState, Policy
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    Policy,
+    ReadCondition,
+    SampleState,
+    ViewState,
+)
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.internal import DDS
 
 from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.udp_sockets import socket_inodes
 from g1stream.errors import WireError
 from g1stream.network import is_loopback, require_interface
 
@@ -64,6 +76,9 @@ _LOOPBACK_DISCOVERY: Final = (
     '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
 )
 
+
+#: Entities that are read from discovery at once.
+_AT_ONCE: Final = 1024
 
 DISCOVERY: Final = 0.3
 """Time in which a new participant discovers the participants that are already in its domain, s."""
@@ -184,6 +199,24 @@ class Closable(Protocol):
     def close(self) -> None: ...
 
 
+@dataclass
+class _Joined:
+    """A domain that this process has joined.
+
+    Attributes:
+        interface: the network interface.
+        entity: Cyclone's domain; None if CYCLONEDDS_URI configures it.
+        threads, sockets: see `Participant`.
+        participants: number of participants in it.
+    """
+
+    interface: str
+    entity: Domain | None
+    threads: list[int]
+    sockets: list[int]
+    participants: int = 0
+
+
 class Participant:
     """One participant in a DDS domain, and the entities made from it.
 
@@ -193,6 +226,9 @@ class Participant:
 
     Attributes:
         uses_environment: whether CYCLONEDDS_URI was set and used instead of `interface`.
+        threads: ids of the threads that Cyclone runs for the domain. The loop depends on the
+            messages that they receive, and sometimes on a lock that one holds.
+        sockets: file descriptors of the domain's network sockets, which send and receive.
 
     Raises:
         WireError: the interface does not exist, this process is in the domain on another interface,
@@ -200,7 +236,7 @@ class Participant:
     """
 
     # Cyclone accepts one configuration per domain id in a process, before the first participant.
-    _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
+    _domains: dict[int, _Joined] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
         require_interface(interface)
@@ -208,47 +244,45 @@ class Participant:
         self.interface = interface
         self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
         self._entities: list[Closable] = []
+        self._log_mask: int | None = None
+        joined = self._domains.get(domain)
+        if joined and joined.interface != interface and not self.uses_environment:
+            raise WireError(
+                f"This process uses {joined.interface} for domain {domain} and cannot use "
+                f"{interface} as well.",
+                "Use the same interface for the domain, or another domain.",
+            )
+        entity: Domain | None = None
+        threads, sockets = _native_threads(), socket_inodes(Path("/proc/self"))
         try:
-            if not self.uses_environment:
-                self._configure()
+            if not (joined or self.uses_environment):
+                entity = Domain(domain, _config(interface))
             self.entity: Any = DomainParticipant(domain)
         except DDSException as error:
-            self._release()
+            del entity  # the traceback would keep it
             raise WireError(
                 f"Cyclone DDS cannot join domain {domain} on {interface}: {error.msg or error}.",
                 "Check CYCLONEDDS_URI if it is set, and that fewer than ten other participants use "
                 "the domain on this machine (a recorder has two).",
             ) from error
-        self._participants = BuiltinDataReader(self.entity, BuiltinTopicDcpsParticipant)
-        self._writers = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
-        self._readers = BuiltinDataReader(self.entity, BuiltinTopicDcpsSubscription)
-
-    def _configure(self) -> None:
-        entity, interface, users = self._domains.get(self.domain, (None, self.interface, 0))
-        if interface != self.interface:
-            raise WireError(
-                f"This process uses {interface} for domain {self.domain} and cannot use "
-                f"{self.interface} as well.",
-                "Use the same interface for the domain, or another domain.",
+        if joined is None:
+            opened = socket_inodes(Path("/proc/self"))
+            joined = self._domains[domain] = _Joined(
+                interface,
+                entity,
+                sorted(_native_threads() - threads),
+                sorted(opened[inode] for inode in opened.keys() - sockets),
             )
-        if entity is None:
-            here = is_loopback(self.interface)
-            config = _CONFIG.format(
-                interface=self.interface,
-                multicast=_LOOPBACK_MULTICAST if here else "",
-                discovery=_LOOPBACK_DISCOVERY if here else "",
-            )
-            entity = Domain(self.domain, config)
-        self._domains[self.domain] = (entity, interface, users + 1)
+        joined.participants += 1
+        self.threads, self.sockets = joined.threads, joined.sockets
+        self._participants = _Discovered(self.entity, BuiltinTopicDcpsParticipant)
+        self._writers = _Discovered(self.entity, BuiltinTopicDcpsPublication)
+        self._readers = _Discovered(self.entity, BuiltinTopicDcpsSubscription)
 
-    def _release(self) -> None:
-        entity, interface, users = self._domains.get(self.domain, (None, "", 0))
-        if entity is None or self.uses_environment:
-            return
-        if users > 1:
-            self._domains[self.domain] = (entity, interface, users - 1)
-        else:
-            del self._domains[self.domain]
+    def mute(self) -> None:
+        """Let Cyclone print nothing until this is closed, such as a line for each failed send."""
+        self._log_mask = self._log_mask or DDS._dll_handle.dds_get_log_mask()
+        DDS._dll_handle.dds_set_log_mask(0)
 
     def register(self, entity: Closable) -> None:
         """Close an entity together with this participant, even if there are references to it."""
@@ -274,13 +308,13 @@ class Participant:
         )
         return str(replace(endpoint, process=program) if program else endpoint)
 
-    def _endpoints(self, reader: Any, topic: str | None) -> list[Endpoint]:
+    def _endpoints(self, discovered: _Discovered, topic: str | None) -> list[Endpoint]:
         properties = {
             str(one.key): {p.key: p.value for p in one.qos if hasattr(p, "value")}
-            for one in _alive(self._participants)
+            for one in self._participants.alive()
         }
         found = []
-        for sample in _alive(reader):
+        for sample in discovered.alive():
             if topic not in (None, sample.topic_name):
                 continue
             if sample.participant_key == self.entity.guid:
@@ -316,7 +350,13 @@ class Participant:
         self._entities.clear()
         del self._participants, self._writers, self._readers
         del self.entity
-        self._release()
+        joined = self._domains[self.domain]
+        joined.participants -= 1
+        if not joined.participants:
+            del self._domains[self.domain]
+            del joined
+        if self._log_mask is not None:
+            DDS._dll_handle.dds_set_log_mask(self._log_mask)
 
     def __enter__(self) -> Participant:
         return self
@@ -325,7 +365,44 @@ class Participant:
         self.close()
 
 
-def _alive(reader: Any) -> list[Any]:
-    """Samples of a built-in reader whose entities exist now; they are not removed from it."""
-    alive = InstanceState.Alive
-    return [s for s in reader.read(1024) if s.sample_info.instance_state & alive]
+class _Discovered:
+    """The participants, writers or readers that Cyclone knows in a domain.
+
+    Args:
+        participant: Cyclone's participant.
+        topic: built-in topic of the entities.
+    """
+
+    def __init__(self, participant: Any, topic: Any) -> None:
+        self._reader = BuiltinDataReader(participant, topic)
+        every = ViewState.Any | SampleState.Any
+        gone = InstanceState.NotAliveDisposed | InstanceState.NotAliveNoWriters
+        self._gone = ReadCondition(self._reader, every | gone)
+
+    def alive(self) -> list[Any]:
+        """Samples of the entities that exist now; they stay in the reader."""
+        # Those of entities that are gone are removed: the reader would keep them all.
+        while self._reader.take(_AT_ONCE, self._gone):
+            pass
+        most = _AT_ONCE
+        while len(found := self._reader.read(most)) == most:
+            most *= 2
+        return [one for one in found if one.sample_info.instance_state & InstanceState.Alive]
+
+
+def _config(interface: str) -> str:
+    """Cyclone's configuration for a network interface."""
+    here = is_loopback(interface)
+    return _CONFIG.format(
+        interface=interface,
+        multicast=_LOOPBACK_MULTICAST if here else "",
+        discovery=_LOOPBACK_DISCOVERY if here else "",
+    )
+
+
+def _native_threads() -> set[int]:
+    """Ids of this process's threads that are not Python's."""
+    with suppress(OSError):  # not on Linux
+        running = {int(task.name) for task in Path("/proc/self/task").iterdir()}
+        return running - {thread.native_id for thread in threading.enumerate()}
+    return set()

@@ -60,7 +60,9 @@ def domains_of_ports(ports: Iterable[int]) -> set[int]:
 def local_participants(proc: Path = Path("/proc")) -> list[LocalParticipant]:
     """Programs on this machine in any domain, without this program and its child processes."""
     programs = _programs(proc)
-    owners = {inode: pid for pid in programs for inode in socket_inodes(proc / str(pid))}
+    # A guard process has its stream's sockets, too, and the higher process id.
+    by_age = sorted(programs, reverse=True)
+    owners = {inode: pid for pid in by_age for inode in socket_inodes(proc / str(pid))}
     found = set()
     for namespace, apart in _namespaces(proc, programs):
         ports: dict[tuple[int, str], set[int]] = defaultdict(set)

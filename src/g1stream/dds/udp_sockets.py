@@ -34,16 +34,18 @@ class UdpSocket(NamedTuple):
     dropped: int
 
 
-def socket_inodes(process: Path) -> Iterator[int]:
-    """Inodes of a process's sockets; none without permission.
+def socket_inodes(process: Path) -> dict[int, int]:
+    """File descriptors of a process's sockets by their inodes; none without permission.
 
     `process` is the directory of the process, such as /proc/self.
     """
+    found = {}
     with suppress(OSError):
         for file in (process / "fd").iterdir():
             with suppress(OSError):  # the file was closed meanwhile
                 if match := re.fullmatch(r"socket:\[(\d+)\]", str(file.readlink())):
-                    yield int(match[1])
+                    found[int(match[1])] = int(file.name)
+    return found
 
 
 def udp_sockets(process: Path) -> Iterator[UdpSocket]:

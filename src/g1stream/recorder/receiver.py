@@ -251,8 +251,10 @@ class _Readers:
 def _run_child(parent: Parent) -> None:
     """Receive samples for a recorder."""
     domain, interface, priority, file = parent.startup_message
-    # The threads of the participant get the priority as well.
-    with Participant(domain, interface) as participant, on_time(priority):
+    with (
+        Participant(domain, interface) as participant,
+        on_time(priority, helpers=participant.threads),
+    ):
         readers = _Readers(participant, file)
         try:
             parent.ready()

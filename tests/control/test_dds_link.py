@@ -76,30 +76,29 @@ def guarded(domain_id, until):
     heartbeat.close()
 
 
-def test_where_the_guard_has_taken_over_its_commands_are_sent(guarded):
+def test_nothing_is_sent_after_the_guard_has_taken_over(guarded):
     link, heartbeat, commands = guarded
-    link.send(STIFF, Reference().tobytes(), 1)
-    later = damping_command(STIFF, 4.0)
-    for replacement in (DAMPING, later):
-        heartbeat.replace(replacement, Takeover.SILENT)
-        link.send(STIFF, Reference().tobytes(), 1)
-    assert commands(3) == [STIFF, DAMPING, later]
-
-
-def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, monkeypatch):
-    link, heartbeat, commands = guarded
-    write, waited_for = RawWriter.write, []
-
-    def interrupted(writer, data, *more):
-        waited_for.append(heartbeat.writing)
-        written = write(writer, data, *more)
-        heartbeat.replace(DAMPING, Takeover.STOPPED)
-        return written
-
-    monkeypatch.setattr(RawWriter, "write", interrupted)
-    link.send(STIFF, Reference().tobytes(), 1)
+    assert link.send(STIFF, Reference().tobytes(), 1) > 0
+    written = heartbeat.last_write
+    heartbeat.takeover = Takeover.SILENT
+    assert link.send(STIFF, Reference().tobytes(), 1) == 0
+    heartbeat.takeover = Takeover.NONE
+    assert link.send(DAMPING, Reference().tobytes(), 1) > written
     assert commands(2) == [STIFF, DAMPING]
-    assert waited_for == [True, True, False]  # the last is the reference
+
+
+def test_a_write_is_in_progress_until_the_command_is_written(guarded, monkeypatch):
+    link, heartbeat, commands = guarded
+    write, writing = RawWriter.write, []
+
+    def observed(writer, data, *more):
+        writing.append(heartbeat.writing)
+        return write(writer, data, *more)
+
+    monkeypatch.setattr(RawWriter, "write", observed)
+    link.send(STIFF, Reference().tobytes(), 1)
+    assert commands(1) == [STIFF]
+    assert writing == [True, False]  # the last is the reference
 
 
 def test_a_state_has_its_publish_time_and_when_it_was_received(ends, until):

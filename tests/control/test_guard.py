@@ -1,12 +1,23 @@
 import os
+import socket
 import subprocess
-import sys
+import time
 
 import numpy as np
 import pytest
 
-from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, _here, damping_command
+from g1stream.config import Config
+from g1stream.control.guard import (
+    Heartbeat,
+    Takeover,
+    Watch,
+    _fence,
+    _here,
+    _settings,
+    damping_command,
+)
 from g1stream.dds.messages import LowCmd
+from threads import in_thread
 
 MS = 1_000_000
 LIMIT = 40 * MS
@@ -82,39 +93,13 @@ def test_both_processes_see_the_same_heartbeat(heartbeat):
     heartbeat.begin_write(command, START + 1)
     heartbeat.end_write(0)
     assert (other.writing, other.last_write) == (False, START)
-    assert (heartbeat.takeover, heartbeat.replacement) == (Takeover.NONE, b"")
-    damping, other.subscribers = damping_command(command, 3.0), 2
-    other.replace(damping, Takeover.STOPPED)
+    assert (heartbeat.takeover, heartbeat.subscribers) == (Takeover.NONE, 0)
+    other.takeover, other.subscribers = Takeover.STOPPED, 2
     assert (heartbeat.takeover, heartbeat.subscribers) == (Takeover.STOPPED, 2)
-    assert (heartbeat.replacement, heartbeat.command) == (damping, command)
+    assert heartbeat.command == command
     heartbeat.clear()
     assert other.last_write == 0
     other.close()
-
-
-_REPLACING = """
-import sys
-from itertools import cycle
-from g1stream.control.guard import Heartbeat, Takeover
-from g1stream.dds.messages import LowCmd
-heartbeat = Heartbeat(int(sys.argv[1]))
-size = len(LowCmd().seal())
-for filled in cycle([bytes([n]) * size for n in range(1, 256)]):
-    heartbeat.replace(filled, Takeover.STOPPED)
-"""
-
-
-def test_a_command_that_the_guard_replaces_meanwhile_is_read_whole(heartbeat):
-    command = [sys.executable, "-c", _REPLACING, str(heartbeat.descriptor)]
-    with subprocess.Popen(command, pass_fds=[heartbeat.descriptor]) as guard:
-        try:
-            while not heartbeat.replacement:
-                assert guard.poll() is None
-            read = {heartbeat.replacement for _ in range(100_000)}
-        finally:
-            guard.kill()
-    assert len(read) > 10
-    assert all(len(set(one)) == 1 for one in read)
 
 
 def test_the_guard_damps_where_the_last_command_was():
@@ -132,13 +117,86 @@ def test_the_guard_damps_where_the_last_command_was():
     assert damping.mode_machine == 5
 
 
+@pytest.mark.parametrize("priority", [0, 50])
+def test_the_guard_asks_for_a_priority_above_the_loops(heartbeat, priority):
+    config = Config.model_validate({"realtime": {"priority": priority}})
+    assert _settings(config, heartbeat.descriptor).priority == priority + 1
+
+
+@pytest.fixture
+def fence(heartbeat):
+    """Fences a stream off, by its process id and its sockets."""
+
+    def fence(why, pid, *sockets):
+        settings = _settings(Config(), heartbeat.descriptor, [os.dup(s.fileno()) for s in sockets])
+        _fence(heartbeat, settings._replace(stream=pid), why)
+
+    return fence
+
+
 @pytest.mark.parametrize("why", [Takeover.STOPPED, Takeover.SILENT])
-def test_a_stream_that_is_killed_in_a_write_is_not_waited_for(heartbeat, why):
+def test_a_stream_that_is_killed_in_a_write_is_not_waited_for(heartbeat, fence, why):
     with subprocess.Popen(["true"]) as process:
         process.wait()
     heartbeat.begin_write(LowCmd().seal(), START)
-    _fence(heartbeat, process.pid, why)  # returns, so that the guard damps
+    fence(why, process.pid)  # returns, so that the guard damps
     assert heartbeat.writing
+
+
+def test_a_write_that_blocks_is_waited_for_less_than_what_a_robot_allows(heartbeat, fence):
+    """With the silence before, the first damping command is in time: a bound of safety."""
+    heartbeat.begin_write(LowCmd().seal(), START)
+    with subprocess.Popen(["sleep", "60"]) as stream:
+        begun = time.monotonic()
+        fence(Takeover.SILENT, stream.pid)
+        waited = time.monotonic() - begun
+        stream.kill()
+    assert heartbeat.writing
+    assert waited < 0.05 - 0.04
+
+
+def test_a_stream_that_is_fenced_off_sends_nothing_more_and_still_receives(fence):
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+    ):
+        for one in (stream, robot):
+            one.bind(("127.0.0.1", 0))
+            one.settimeout(5.0)
+        stream.sendto(b"stiff", robot.getsockname())
+        assert robot.recv(10) == b"stiff"
+        fence(Takeover.STOPPED, os.getpid(), stream)
+        with pytest.raises(BrokenPipeError):
+            stream.sendto(b"stale", robot.getsockname())
+        robot.sendto(b"state", stream.getsockname())
+        assert stream.recv(10) == b"state"
+
+
+def test_a_send_that_waits_for_the_kernel_never_comes_out(fence, until):
+    robot, stream = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    sent, failed = [], []
+
+    def send(_):
+        try:
+            while True:
+                sent.append(stream.send(b"stiff"))
+        except BrokenPipeError:
+            failed.append(True)
+
+    def waiting():
+        before = len(sent)
+        time.sleep(0.05)
+        return 0 < before == len(sent)
+
+    with robot, stream, in_thread(send):
+        until(waiting, "a send that waits")
+        fence(Takeover.STOPPED, os.getpid(), stream)
+        until(lambda: failed, "its failure")
+        robot.setblocking(False)
+        for _ in sent:
+            assert robot.recv(10) == b"stiff"
+        with pytest.raises(BlockingIOError):
+            robot.recv(10)
 
 
 def test_a_stream_ends_its_write_on_the_guards_cpu_and_goes_back():

@@ -29,6 +29,26 @@ def test_a_program_that_is_not_ours(claim_domain, stranger, monkeypatch, general
     assert f"pid {pid}" in str(found)
 
 
+def test_sockets_that_a_child_shares_belong_to_the_process_that_made_them(claim_domain, stranger):
+    """As a stream's guard shares those of the stream."""
+    domain = claim_domain()
+    code = f"""
+import os, subprocess
+{PLAIN.format(domain)}
+for descriptor in map(int, os.listdir("/proc/self/fd")):
+    try:
+        os.set_inheritable(descriptor, True)
+    except OSError:
+        pass
+child = subprocess.Popen(["sleep", "30"], close_fds=False)
+import atexit, signal
+signal.signal(signal.SIGTERM, lambda *_: (child.kill(), os._exit(0)))
+"""
+    pid = stranger(code)
+    (found,) = found_in(domain)
+    assert found.pid == pid
+
+
 def test_this_process_and_what_it_started_are_left_out(domain_id):
     code = f"{PLAIN.format(domain_id)}; print(flush=True); input()"
     started = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {code!r}])"

@@ -83,28 +83,35 @@ def _assert_kept(victim: Path) -> None:
     assert victim.read_text() == "precious"
 
 
-#: From the 300th on, no command of the process of the stream itself can be written.
-BROKEN_WRITER: Final = """
+#: From the 300th on, each write of a command of the process of the stream itself does this first.
+WRITER: Final = """
 import sys
 if sys.orig_argv[1:3] == ["-m", "g1stream"]:
+    import time
     from cyclonedds.core import DDSException
     from cyclonedds.pub import DataWriter
     write, written = DataWriter.write, []
-    def fail(self, sample, timestamp=None):
+    def begin(self, sample, timestamp=None):
         if "LowCmd" in type(sample).__name__:
             written.append(1)
             if len(written) > 300:
-                raise DDSException(DDSException.DDS_RETCODE_TIMEOUT)
+                {first}
         return write(self, sample, timestamp)
-    DataWriter.write = fail
+    DataWriter.write = begin
 """
+BROKEN: Final = "raise DDSException(DDSException.DDS_RETCODE_TIMEOUT)"
 
 
-def broken_writer(session: Session) -> Sequence[str]:
-    (session.folder / "sitecustomize.py").write_text(BROKEN_WRITER)
-    paths = [str(session.folder), *filter(None, [session.environment.get("PYTHONPATH")])]
-    session.environment["PYTHONPATH"] = os.pathsep.join(paths)
-    return []
+def writer(first: str, before: Prepare = lambda session: []) -> Prepare:
+    """A writer that does something before each write, and what else is prepared."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        (session.folder / "sitecustomize.py").write_text(WRITER.format(first=first))
+        paths = [str(session.folder), *filter(None, [session.environment.get("PYTHONPATH")])]
+        session.environment["PYTHONPATH"] = os.pathsep.join(paths)
+        return before(session)
+
+    return prepare
 
 
 def no_guard_from_the_start(session: Session) -> Sequence[str]:
@@ -212,10 +219,13 @@ def _pin_politely() -> None:
     os.nice(19)
 
 
-def no_priority(session: Session) -> Sequence[str]:
-    session.set("[realtime]\npriority = 0\n")
-    session.before = _pin_politely
-    return []
+def no_priority(before: Prepare = lambda session: []) -> Prepare:
+    def prepare(session: Session) -> Sequence[str]:
+        session.set("[realtime]\npriority = 0\n")
+        session.before = _pin_politely
+        return before(session)
+
+    return prepare
 
 
 CLOCK: Final = r"""
@@ -273,17 +283,17 @@ def network(*words: str) -> Prepare:
 
     def prepare(session: Session) -> Sequence[str]:
         name = f"g1faults{session.domain}"
-        session.interface, session.prefix = "robot0", ["ip", "netns", "exec", name]
+        session.interface, session.prefix = "eth0", ["ip", "netns", "exec", name]
         _run("ip", "netns", "add", name)
         session.clean_up.append(lambda: _run("ip", "netns", "delete", name))
         for command in (
             "link set lo up",
-            "link add robot0 type veth peer name robot1",
-            "addr add 10.77.0.1/24 dev robot0",
-            "link set robot0 up",
-            "link set robot1 up",
+            "link add eth0 type veth peer name robot",
+            "addr add 10.77.0.1/24 dev eth0",
+            "link set eth0 up",
+            "link set robot up",
         ):
             _run("ip", "-n", name, *command.split())
-        return ["--interface", "robot0", *words]
+        return ["--interface", "eth0", *words]
 
     return prepare

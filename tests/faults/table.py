@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from engine import Fault, Session
 from injections import (
+    BROKEN,
     ELBOW,
     KNEE,
     WRIST,
     another_stream,
-    broken_writer,
     cell,
     clock,
     close_terminal,
@@ -40,6 +40,7 @@ from injections import (
     to_recorder,
     twice,
     wide_urdf,
+    writer,
 )
 from policies import plays
 
@@ -306,7 +307,7 @@ ARMS: Final = [
     _arms("guard is killed", act=to_guard(signal.SIGKILL), reason="guard"),
     _arms(
         "commands can no longer be written",
-        prepare=broken_writer,
+        prepare=writer(BROKEN),
         reason="did not send a command in time",
         handover_ms=inf,
     ),
@@ -475,7 +476,7 @@ SIGNALS: Final = [
     Fault(
         "commands can no longer be written",
         "process",
-        prepare=broken_writer,
+        prepare=writer(BROKEN),
         reason="did not send a command in time",
         handover_ms=inf,
         record="complete",
@@ -528,14 +529,45 @@ RECORDER: Final = [
 
 
 NO_GCC: Final = "" if shutil.which("gcc") else "a wall clock that steps needs gcc"
+NO_NETWORK: Final = (
+    "" if shutil.which("ip") and not os.geteuid() else "a network of its own needs root and ip"
+)
+ARMED: Final = network("--arm", "--yes", "eth0")
 LOAD: Final = [
     Fault(
         "CPU is taken away",
         "machine",
-        prepare=no_priority,
+        prepare=no_priority(),
         act=hogs,
         code=(0, 1),
         alone=True,
+        handover_ms=inf,
+        record="complete",
+    ),
+    Fault(
+        "CPU is taken away on a robot's interface",
+        "machine",
+        prepare=no_priority(ARMED),
+        act=hogs,
+        alone=True,
+        handover_ms=HANDOVER,
+        impossible=NO_NETWORK,
+    ),
+    Fault(
+        "writes block for 0.3 s on a robot's interface",
+        "machine",
+        prepare=writer("time.sleep(0.3)", ARMED),
+        reason="did not send a command in time",
+        alone=True,
+        handover_ms=HANDOVER,
+        record="complete",
+        impossible=NO_NETWORK,
+    ),
+    Fault(
+        "writes block for 3 s",
+        "machine",
+        prepare=writer("time.sleep(3.0)"),
+        reason="did not send a command in time",
         handover_ms=inf,
         record="complete",
     ),
@@ -561,9 +593,6 @@ LOAD: Final = [
     ),
 ]
 
-NO_NETWORK: Final = (
-    "" if shutil.which("ip") and not os.geteuid() else "a network of its own needs root and ip"
-)
 ARMING: Final = [
     Fault(name, "arming", prepare=network(*words), impossible=NO_NETWORK, **more)
     for name, words, more in (
@@ -571,12 +600,12 @@ ARMING: Final = [
         ("armed, and nobody to confirm", ("--arm",), {"code": 2, "sent": False}),
         (
             "armed",
-            ("--arm", "--yes", "robot0"),
+            ("--arm", "--yes", "eth0"),
             {"code": (0, 1), "soft": True, "record": "complete"},
         ),
         (
             "armed, with --anyway",
-            ("--arm", "--yes", "robot0", "--anyway"),
+            ("--arm", "--yes", "eth0", "--anyway"),
             {"code": 2, "sent": False, "reason": "anyway"},
         ),
         ("armed for another interface", ("--arm", "--yes", "lo"), {"code": 2, "sent": False}),

@@ -85,8 +85,8 @@ def stream(
     path = None if record is None else _recording_path(Path(record), config.record, force)
     config, clock = for_wire(config), SystemClock()
     with (
-        Guard(config) as guard,
         Participant(config.dds.domain, config.dds.interface) as participant,
+        Guard(config, participant.sockets) as guard,
         ExitStack() as stack,
     ):
         joined = clock.now()
@@ -120,7 +120,9 @@ def stream(
             # All events have been published when the recorder is stopped.
             with handled_by(events):
                 planned.log_events()
-                with on_time(config.realtime.priority, config.realtime.cpu) as granted:
+                with on_time(
+                    config.realtime.priority, config.realtime.cpu, participant.threads
+                ) as granted:
                     about["realtime"] = granted
                     _LOGGER.info("real time: %s", describe(granted))
                     _run(loop, guard)

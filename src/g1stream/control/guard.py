@@ -4,10 +4,10 @@ It joins the DDS domain before the first command and watches the stream's heartb
 LowCmd only after the stream was killed or stopped, hangs, or gets no CPU time. It has its own
 process session and ignores signals, so that the event that ends the stream does not end the guard.
 
-The stream writes its heartbeat and a copy of each command into shared memory. The guard writes the
-commands there that replace them. No command of the stream follows the guard's first one. The stream
-announces each write, and then checks whether the guard has taken over. The guard announces that it
-takes over, and then waits until no write is in progress. docs/safety.md explains the guard.
+The stream writes its heartbeat and a copy of each command into shared memory. No command of the
+stream follows the guard's first one: the guard shares the stream's DDS sockets, and shuts them down
+for sending before it damps. The stream also checks before each write whether the guard has taken
+over. docs/safety.md explains the guard.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import logging
 import mmap
 import os
 import signal
+import socket
 import sys
 import time
 from contextlib import contextmanager, suppress
@@ -41,7 +42,7 @@ from g1stream.network import is_local_only
 from g1stream.realtime import allow_all_cpus, on_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from g1stream.child_process import Parent
     from g1stream.config import Config
@@ -67,17 +68,16 @@ _STATE_CHECK: Final = 20_000_000
 _CHECK_PERIOD: Final = 10_000_000
 
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
-#: The fields of the shared memory, each an int64. They are followed by the stream's last command
-#: and the guard's last two, because it writes one while the stream may read the other.
-_LAST_WRITE, _WRITING, _TAKEOVER, _REPLACEMENTS, _SUBSCRIBERS, _FIELDS = range(6)
+#: The fields of the shared memory, each an int64. They are followed by the stream's last command.
+_LAST_WRITE, _WRITING, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(5)
 #: Silence after which a running stream is replaced if there may be a robot, s.
 _ROBOT_SILENCE: Final = 0.04
 #: Interval at which subscribers are counted before the first command, ns.
 _DISCOVERY_PERIOD: Final = 20_000_000
-#: Upper bound of the time until a store of one process is visible to the other, s.
-_VISIBLE: Final = 0.0002
+#: Interval at which the guard checks whether a write has ended, s.
+_WRITE_POLL: Final = 0.0002
 #: Maximum wait of the guard for the end of a write, s. A write takes about 20 us of CPU time.
-_WRITE_TIMEOUT: Final = 0.02
+_WRITE_TIMEOUT: Final = 0.002
 #: Maximum time that the process takes to end, s, in addition to the time of damping.
 _END_TIMEOUT: Final = 2.0
 
@@ -113,7 +113,7 @@ class Heartbeat:
     """
 
     def __init__(self, memory: int | None = None) -> None:
-        size = 8 * _FIELDS + 3 * _COMMAND_SIZE
+        size = 8 * _FIELDS + _COMMAND_SIZE
         if memory is None:
             if sys.platform != "linux":
                 raise SafetyError(
@@ -125,9 +125,7 @@ class Heartbeat:
         shared = memoryview(mmap.mmap(memory, size))
         # A store of 8 aligned bytes is atomic, so neither side reads half a number.
         self._fields = shared[: 8 * _FIELDS].cast("q")
-        self._command, *self._replacements = (
-            shared[start:][:_COMMAND_SIZE] for start in range(8 * _FIELDS, size, _COMMAND_SIZE)
-        )
+        self._command = shared[8 * _FIELDS :]
 
     def begin_write(self, command: bytes, now: int) -> None:
         """Store a command and the time, ns of CLOCK_MONOTONIC, before it is written."""
@@ -168,21 +166,9 @@ class Heartbeat:
         """Why the guard damps the robot; NONE if it does not."""
         return Takeover(self._fields[_TAKEOVER])
 
-    @property
-    def replacement(self) -> bytes:
-        """The guard's last command, which the stream sends as well; empty before the first one."""
-        number, command = 0, b""
-        while number != self._fields[_REPLACEMENTS]:  # there is a newer one
-            number = self._fields[_REPLACEMENTS]
-            command = bytes(self._replacements[number % 2])
-        return command
-
-    def replace(self, command: bytes, why: Takeover) -> None:
-        """Store a command of the guard and the reason for damping, before it is written."""
-        number = self._fields[_REPLACEMENTS] + 1
-        self._replacements[number % 2][:] = command
+    @takeover.setter
+    def takeover(self, why: Takeover) -> None:
         self._fields[_TAKEOVER] = why
-        self._fields[_REPLACEMENTS] = number
 
     @property
     def subscribers(self) -> int:
@@ -291,6 +277,7 @@ class Guard:
 
     Args:
         config: settings of the stream, including those that `for_wire` sets.
+        sockets: file descriptors of the sockets through which the stream sends its commands.
 
     Raises:
         ConfigError: the guard is disabled, and a robot may be commanded.
@@ -298,7 +285,7 @@ class Guard:
         ChildError: the guard process cannot be started.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, sockets: Sequence[int] = ()) -> None:
         self._loop: GuardedLoop | None = None
         self._failure = ""
         self._began = False
@@ -310,8 +297,8 @@ class Guard:
             memory = self._heartbeat.descriptor
             self._child = Child(
                 "guard",
-                _settings(config, memory)._asdict(),
-                pass_fds=(memory,),
+                _settings(config, memory, sockets)._asdict(),
+                pass_fds=(memory, *sockets),
                 on_failure=self._fail,
             )
         elif not is_local_only(config.dds.interface):
@@ -374,9 +361,10 @@ class _Settings(NamedTuple):
 
     Attributes:
         memory: file descriptor of the heartbeat.
+        sockets: file descriptors of the stream's DDS sockets.
         stream: process id of the stream.
         domain, interface: DDS domain and network interface.
-        priority: SCHED_FIFO priority; 0: normal scheduling.
+        priority: SCHED_FIFO priority.
         limit: silence after which a running stream is replaced, ns.
         period: time between two damping commands, ns.
         damp: duration of damping, ns.
@@ -386,6 +374,7 @@ class _Settings(NamedTuple):
     """
 
     memory: int
+    sockets: Sequence[int]
     stream: int
     domain: int
     interface: str
@@ -397,17 +386,18 @@ class _Settings(NamedTuple):
     arm_sdk: bool
 
 
-def _settings(config: Config, memory: int) -> _Settings:
+def _settings(config: Config, memory: int, sockets: Sequence[int] = ()) -> _Settings:
     settings, wire, priority = config.stream, config.dds, config.realtime.priority
     limit = max(_ROBOT_SILENCE, 2.0 / settings.rate)
     if is_local_only(wire.interface):
         limit = config.safety.state_timeout
     return _Settings(
         memory=memory,
+        sockets=tuple(sockets),
         stream=os.getpid(),
         domain=wire.domain,
         interface=wire.interface,
-        priority=priority and priority + 1,
+        priority=priority + 1,  # also where the loop has none, and may not get the CPU
         limit=round(limit * 1e9),
         period=settings.period,
         damp=round(settings.damp * 1e9),
@@ -428,7 +418,8 @@ def _run_child(parent: Parent) -> None:
         topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
         commands = RawWriter(participant, topic, user_data=IDLE)
         events = dds_log_handler(participant, GUARD)
-        with handled_by(events, ConsoleHandler()), on_time(settings.priority):
+        scheduled = on_time(settings.priority, helpers=participant.threads)
+        with handled_by(events, ConsoleHandler()), scheduled:
             parent.ready()
             subscribers = partial(count_subscribers, participant, commands)
             if why := _watch(parent, heartbeat, settings, subscribers):
@@ -461,23 +452,22 @@ def _state(pid: int) -> Takeover:
     return Takeover.STOPPED if state in "Tt" else Takeover.NONE
 
 
-def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
-    """Wait until the replaced stream has finished the write that is in progress.
+def _fence(heartbeat: Heartbeat, settings: _Settings, why: Takeover) -> None:
+    """Prevent the replaced stream from sending anything more.
 
-    For that the stream must run on a CPU. If a debugger prevents this, the stream finishes the
-    write later, and sends the guard's command right after it.
+    A send that waits, and each later one, fails, however long the write around it takes. A packet
+    that the kernel is sending now still goes out. For that the stream must run on a CPU, so this
+    waits for it; a process that is stopped is not within such a send.
     """
-    time.sleep(_VISIBLE)
-    if why is Takeover.ENDED or not heartbeat.writing:
-        return
-    with suppress(OSError), _here(stream):  # the stream may be killed meanwhile
-        if why is Takeover.STOPPED:
-            os.kill(stream, signal.SIGCONT)
-        end = time.monotonic() + _WRITE_TIMEOUT
-        while heartbeat.writing and time.monotonic() < end:
-            time.sleep(_VISIBLE)
-        if why is Takeover.STOPPED:
-            os.kill(stream, signal.SIGSTOP)
+    for descriptor in settings.sockets:
+        # Of a UDP socket, Linux shuts down the sending and reports that there is no connection.
+        with suppress(OSError), socket.socket(fileno=descriptor) as shared:
+            shared.shutdown(socket.SHUT_WR)
+    if why is Takeover.SILENT and heartbeat.writing:
+        with suppress(OSError), _here(settings.stream):  # the stream may be killed meanwhile
+            end = time.monotonic() + _WRITE_TIMEOUT
+            while heartbeat.writing and time.monotonic() < end:
+                time.sleep(_WRITE_POLL)
 
 
 @contextmanager
@@ -504,16 +494,14 @@ def _here(pid: int) -> Iterator[None]:
 
 def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
     def send(frame: bytes) -> None:
-        heartbeat.replace(frame, why)  # first, so that a stream that continues sends the same
         with suppress(DDSException):  # the next write may succeed
             commands.write(frame)
 
-    frames = _frames(heartbeat.command, settings)
     silence = time.monotonic_ns() - heartbeat.last_write
-    first = next(frames)
-    heartbeat.replace(first, why)
-    _fence(heartbeat, settings.stream, why)
-    send(first)
+    heartbeat.takeover = why
+    _fence(heartbeat, settings, why)
+    frames = _frames(heartbeat.command, settings)
+    send(next(frames))
     with suppress(DDSException):
         commands.announce(PUBLISHING)
     _LOGGER.error(

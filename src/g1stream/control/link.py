@@ -169,17 +169,18 @@ class DdsLink:
         return named or ["unnamed participants"]
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """As of `Link`; after the guard process has taken over, send its last command instead."""
+        """As of `Link`; nothing is sent after the guard process has taken over."""
         heartbeat = self._heartbeat
         if heartbeat is None:
             written = self._write(command, stamp)
         else:
             heartbeat.begin_write(command, time.monotonic_ns())
-            replacement, written = heartbeat.replacement, 0
+            written = 0
             try:
-                written = self._write(replacement or command, stamp)
-                if (newer := heartbeat.replacement) != replacement:
-                    self._commands.write(newer)  # the guard took over during the write
+                if heartbeat.takeover:
+                    self._participant.mute()  # the guard has shut its sockets down
+                    return 0
+                written = self._write(command, stamp)
             finally:
                 heartbeat.end_write(written)
         self._references.write(reference, stamp)

@@ -95,6 +95,7 @@ def test_the_searched_places_and_the_programs_are_named(changed):
     inside = LocalParticipant(1, 44, "policy.py", apart=True)
     wire = EMPTY | {
         "searched": ((7, "lo"), (1, "eth0")),
+        "unsearched": ("eth1",),
         "local": (LocalParticipant(7, 42, "rviz2"), LocalParticipant(9, 0, "user 1"), inside),
         "writers": (ARM,),
         "readers": (ROBOT_STATE,),
@@ -103,6 +104,7 @@ def test_the_searched_places_and_the_programs_are_named(changed):
     publisher, containers = found["publisher"], found["containers"]
     for named in ("domain 7 on lo", "domain 1 on eth0", "discovered there: 1", "rviz2 (pid 42)"):
         assert named in publisher.cause
+    assert "g1stream doctor --interface eth1" in publisher.remedy
     assert "policy.py" not in publisher.cause
     assert "policy.py (pid 44) in domain 1" in containers.cause
     assert "rviz2" not in containers.cause

@@ -1,3 +1,6 @@
+import json
+import subprocess
+import sys
 import threading
 import time
 from importlib.metadata import version
@@ -27,6 +30,35 @@ def test_an_empty_domain(domain_id):
     assert not facts.writers
     assert not facts.state.received
     assert domain_id not in {domain for domain, *_ in (*facts.elsewhere, *facts.searched)}
+
+
+COUNT = """
+import json
+from pathlib import Path
+from g1stream.config import Config
+from g1stream.doctor.inspection import diagnose
+def sent():
+    return int(Path("/proc/self/net/dev").read_text().split("eth0:")[1].split()[9])
+before = sent()
+findings = diagnose(Config(), 0.3)
+print(json.dumps([sent() - before, [one.remedy for one in findings]]))
+"""
+
+
+def test_nothing_is_sent_on_an_interface_that_was_not_asked_for(network_namespace):
+    netns = network_namespace(
+        "link set lo up",
+        "link add eth0 type veth peer name robot",
+        "link set eth0 addrgenmode none",  # no neighbour discovery of IPv6
+        "addr add 10.77.0.1/24 dev eth0",
+        "link set eth0 up",
+        "link set robot up",
+    )
+    command = ["ip", "netns", "exec", netns, sys.executable, "-c", COUNT]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    sent, remedies = json.loads(run.stdout)
+    assert sent == 0
+    assert any("--interface eth0" in one for one in remedies)
 
 
 def test_silent_publisher(domain_id):

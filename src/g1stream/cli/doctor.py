@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Doctor(SettingsCommand):
     """Checks the interface, the DDS domain, the robot or simulator, and wake-up latency.
 
-    It only subscribes; it publishes nothing. If no LowState is found, it also looks on the other
-    interfaces of this machine, where DDS then announces a subscriber.
+    It only subscribes; it publishes nothing. DDS announces a subscriber on the chosen interface and
+    on loopback. If no LowState is found there, the other interfaces to look on are named.
 
     Examples:
       g1stream doctor

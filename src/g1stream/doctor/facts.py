@@ -146,6 +146,7 @@ class WireFacts:
         elsewhere: other publishers of rt/lowstate, as (domain, interface, owner); searched only if
             it is not published in this domain and on this interface.
         searched: the searched places, as (domain, interface).
+        unsearched: the other interfaces of this machine.
         local: DDS programs on this machine in any domain; also only after a search.
     """
 
@@ -156,6 +157,7 @@ class WireFacts:
     commands_matched: int | None = None
     elsewhere: tuple[tuple[int, str, str], ...] = ()
     searched: tuple[tuple[int, str], ...] = ()
+    unsearched: tuple[str, ...] = ()
     local: tuple[LocalParticipant, ...] = ()
 
     def writers_of(self, topic: str) -> list[Peer]:

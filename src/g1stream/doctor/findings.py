@@ -189,12 +189,15 @@ def _publishers(domain: int, interface: str, wire: WireFacts) -> Iterator[Findin
         peers = (*wire.writers, *wire.readers)
         others = len({one.participant for one in peers if not one.owner.startswith(_OUR_GUARD)})
         searched = "".join(f", nor in domain {other} on {name}" for other, name in wire.searched)
+        ask = "".join(
+            f" To search {one}: g1stream doctor --interface {one}." for one in wire.unsearched
+        )
         yield problem(
             "publisher",
             f"no publisher on {LOWSTATE.name} {here}{searched}; other programs discovered there: "
             f"{others}; DDS programs on this machine: "
             f"{_programs(one for one in wire.local if not one.apart)}",
-            _START_ROBOT,
+            _START_ROBOT + ask,
         )
     if apart := [one for one in wire.local if one.apart]:
         yield warning(

@@ -115,16 +115,17 @@ def search_elsewhere(
     """Search for LowState elsewhere if it is not published in a domain; returns all facts.
 
     It searches the domains of programs on this machine, the domain of a robot unless on loopback,
-    and this domain on other interfaces. A domain that cannot be joined is left out.
+    and this domain on loopback: joining a domain sends discovery messages, which only the interface
+    that was asked for may carry. A domain that cannot be joined is left out.
     """
     if facts.writers_of(LOWSTATE.name):
         return facts
     local = local_participants()
     domains = {one.domain for one in local if not one.apart}
     domains |= set() if is_loopback(interface) else {_ROBOT_DOMAIN}
-    usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
+    others = [i for i in interfaces if i.up and i.address and i.name != interface]
     places = [(one, interface) for one in sorted(domains - {domain})]
-    places += [(domain, name) for name in usable]
+    places += [(domain, one.name) for one in others if one.loopback]
     joined: dict[tuple[int, str], Participant] = {}
     with ExitStack() as stack:
         for place in places:
@@ -136,7 +137,13 @@ def search_elsewhere(
             for place, participant in joined.items()
             for writer in participant.writers(LOWSTATE.name)
         )
-    return replace(facts, elsewhere=elsewhere, searched=tuple(joined), local=tuple(local))
+    return replace(
+        facts,
+        elsewhere=elsewhere,
+        searched=tuple(joined),
+        unsearched=tuple(one.name for one in others if not one.loopback),
+        local=tuple(local),
+    )
 
 
 def ros_domain() -> int | None:
@@ -263,7 +270,8 @@ def _read(path: str) -> str:
 def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
     """Check this machine and the domain; each check has a finding, even without a problem.
 
-    It publishes nothing, so that other programs are not disturbed.
+    It publishes nothing, so that other programs are not disturbed, and sends discovery messages
+    only on the interface of the settings and on loopback.
     """
     domain, interface = config.dds.domain, config.dds.interface
     host = inspect_host(config.realtime)

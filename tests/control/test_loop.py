@@ -45,8 +45,16 @@ def test_a_whole_session(make_loop, link, clock, events):
     assert report.states == 151 + ALL  # one a tick, those of WAIT included
     assert report.skipped == 0
     assert report.rate == 500.0
-    assert (report.first_stamp, report.last_stamp) == (link.sent[0].stamp, link.sent[-1].stamp)
+    assert (report.first_sent, report.last_sent) == (link.sent[0].time, link.sent[-1].time)
     assert (report.lateness.n, report.lateness.maximum_ns) == (ALL, 0)
+
+
+def test_the_rate_does_not_depend_on_the_wall_clock(make_loop, clock, link, monkeypatch):
+    hour = 3_600_000_000_000
+    monkeypatch.setattr(clock, "stamp", lambda: clock.time + hour * (len(link.sent) > PLAY // 2))
+    report = make_loop().run()
+    assert link.sent[-1].stamp - link.sent[0].stamp > hour
+    assert report.rate == 500.0
 
 
 def test_the_tracking_error_is_that_of_the_references_that_were_sent(make_loop, link):

@@ -49,5 +49,5 @@ def test_sparse_holds_what_was_counted():
 
 def test_a_report_of_one_command_has_no_rate():
     report = LoopReport(2_000_000, *[None] * 4)
-    report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
+    report.commands, report.first_sent, report.last_sent = 1, 5, 5
     assert report.rate is None

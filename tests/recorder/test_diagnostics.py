@@ -81,6 +81,20 @@ def test_a_command_that_only_its_reference_tells_of_is_lost(commands):
     assert losses.update(lost, state_step=2.0) == {commands.name: 3}
 
 
+def test_references_that_are_drained_before_their_commands_are_no_loss():
+    """A recorder that was stopped drains some seconds at once, in the order of the topics."""
+    losses, step, each = Losses(), 2_000_000, 1000
+    lost = {LOWCMD.name: 0, REFERENCE.name: 0}
+    for start in range(0, 4 * each, each):
+        references = batch(Reference(), range(start, start + each))
+        references.publish_times = [tick * step for tick in range(start, start + each)]
+        losses.add(REFERENCE.name, references)
+        losses.add(LOWCMD.name, Batch(publish_times=references.publish_times))
+        assert losses.update(lost, state_step=2.0) == {}
+    losses.finish()
+    assert losses.update(lost, state_step=2.0) == {}
+
+
 def test_datagrams_that_the_kernel_discards_are_counted():
     before = dropped_datagrams(os.getpid())
     with (
@@ -101,6 +115,7 @@ def test_references_that_wait_at_the_end_are_counted_except_the_last(in_transit)
     arrived = [time for time in times[: 100 - in_transit] if time not in times[50:53]]
     missing.add_commands("rt/lowcmd", arrived)
     missing.add_references(times)
+    missing.settle()
     assert missing.count == 0
     missing.finish()
     assert missing.count == 3
@@ -114,6 +129,7 @@ def test_commands_of_another_program_do_not_hide_those_of_the_references(ahead):
         missing.add_commands("rt/arm_sdk", times[i : i + 50])
         missing.add_commands("rt/lowcmd", [time + ahead + 1 for time in times[i : i + 50]])
         missing.add_references(times[i : i + 50])
+        missing.settle()
     missing.finish()
     assert (missing.topic, missing.count) == ("rt/arm_sdk", 0)
 

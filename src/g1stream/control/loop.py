@@ -253,8 +253,8 @@ class StreamLoop:
             self._command_delay.sent(deadline / 1e9, prepared.command)
         self._commands.sent()
         report.error.asked(stamp, prepared.target, playing=self.state.phase is Phase.PLAY)
-        report.first_stamp = report.first_stamp or stamp
-        report.last_stamp = stamp
+        report.first_sent = report.first_sent or written
+        report.last_sent = written
 
     def _receive(self, now: int) -> None:
         publisher = self._link.receive(self._low_state)

@@ -81,7 +81,7 @@ class LoopReport:
         command_delay: delay of commands in a queue of the receiver; None: not detected.
         commands: number of LowCmds written.
         states: number of LowStates that were the newest at a tick.
-        first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
+        first_sent, last_sent: when the first and last LowCmd were written, ns of CLOCK_MONOTONIC.
         played: length of PLAY, ns; 0 until it ends.
         delay: time by which the motion ended later because of stalls, ns.
         waited: time by which it ended later because it follows the robot's time, ns.
@@ -99,8 +99,8 @@ class LoopReport:
     command_delay: CommandDelay | None = None
     commands: int = 0
     states: int = 0
-    first_stamp: int = 0
-    last_stamp: int = 0
+    first_sent: int = 0
+    last_sent: int = 0
     played: int = 0
     delay: int = 0
     waited: int | None = None
@@ -117,7 +117,7 @@ class LoopReport:
     @property
     def rate(self) -> float | None:
         """LowCmds per second between the first and the last, Hz; None before the second."""
-        span = self.last_stamp - self.first_stamp
+        span = self.last_sent - self.first_sent
         return (self.commands - 1) * 1e9 / span if span > 0 else None
 
     def summary(self, **about: Any) -> StreamSummary:

@@ -79,6 +79,12 @@ class MissingCommands:
         """Add the publish times of References, ns, oldest first."""
         self._references.update(publish_times)
         self._newest = publish_times[-1]
+
+    def settle(self) -> None:
+        """Count the References without a LowCmd, once all samples of a drain have been added.
+
+        After the recorder was stopped, a drain has seconds of both.
+        """
         self._settle(self._newest - _MAX_WAIT_NS)
 
     def finish(self) -> None:
@@ -143,6 +149,7 @@ class Losses:
         Returns:
             The number of newly lost samples, by topic name; only topics with new losses.
         """
+        self._commands.settle()
         more = {}
         for name, by_reader in lost_by_reader.items():
             step = state_step if name == LOWSTATE.name else 1.0

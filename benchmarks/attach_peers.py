@@ -30,8 +30,8 @@ import numpy as np
 
 import g1stream
 from feet_peers import play, simulating
-from g1stream.analysis.alignment import find_plays
 from g1stream.errors import G1StreamError
+from g1stream.extras.attach.alignment import find_plays
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from tracking_peers import PEERS, SIMULATORS, missing

@@ -18,6 +18,9 @@ __all__ = [
 ]
 
 EXTENSIONS: Final = {
+    "attach": "g1stream.extras.attach.attached:with_motion",
+    "open_log": "g1stream.extras.attach.logs:open_log",
+    "read_recording": "g1stream.extras.attach.recorded_motion:open_recorded",
     "motion_service": "g1stream.extras.onboard.motion_service:MotionSwitcherClient",
     "simulated_service": "g1stream.extras.onboard.simulated:MotionService",
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",

@@ -3,7 +3,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import g1stream
 from g1stream.analysis.signals import min_max, signal
 from g1stream.app.session import open_session
 from g1stream.errors import ConfigError
@@ -87,12 +86,3 @@ def test_what_was_not_recorded_has_no_line(play, write_session):
     assert signal(session, "error").lines == ()
     with pytest.raises(ConfigError):
         session.plot(what=["speed"])
-
-
-def test_a_converted_motion_is_plotted(tmp_path):
-    path, motion = tmp_path / "demo.mcap", g1stream.load_motion("demo")
-    g1stream.convert("demo", path)
-    (line,) = signal(open_session(path), "q").lines
-    np.testing.assert_allclose(line.values, np.degrees(motion.joint_pos), atol=1e-9)
-    np.testing.assert_allclose(line.time[[0, -1]], [0.0, motion.duration])
-    assert signal(open_session(path), "dq").lines == ()

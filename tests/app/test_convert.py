@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from scipy.spatial.transform import Rotation
 
 from g1stream.app.convert import Conversion, convert
-from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.errors import ConfigError, MotionError, RobotError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
@@ -214,15 +214,6 @@ def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, err
     with pytest.raises(error, match=message):
         convert(motion, out, Conversion(**options))
     assert list(out.parent.iterdir()) == []
-
-
-def test_the_input_file_is_not_overwritten(tmp_path):
-    source = tmp_path / "clip.mcap"
-    convert("demo", source)
-    before = source.read_bytes()
-    with pytest.raises(RecordingError, match=str(source)):
-        convert(source, source, Conversion(force=True))
-    assert source.read_bytes() == before
 
 
 def test_another_suffix_is_refused(tmp_path):

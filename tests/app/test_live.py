@@ -25,17 +25,11 @@ from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import (
-    LOG,
     LOWCMD,
     LOWSTATE,
-    REFERENCE,
-    Batch,
     LowState,
     Samples,
-    encode_samples,
 )
-from g1stream.motion.readers import load_motion
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.format import CHANNELS
 
@@ -203,38 +197,3 @@ def test_a_server_that_fails_is_logged_and_ends_nothing(config, children, caplog
         children[0]._process.kill()
         until(lambda: caplog.records, "the warning")
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
-
-
-def test_a_motion_that_somebody_else_plays_is_found_and_its_references_are_added():
-    """Its first frame is 4 s after the first command, and it is played at 0.8 of its speed."""
-    trajectory = Trajectory(load_motion("demo"))
-    times = np.arange(0.0, 20.0, 0.02)
-    q = trajectory.sample_joints(0.8 * (times - 4.0))[0]
-    rows = encode_samples(LOWCMD, {"motor_cmd.q": q}, len(q))
-    stamps = T0 + np.round(times * 1e9).astype(np.int64)
-    found, added, told = program.FoundReferences(trajectory.motion), [], []
-    for start in range(0, len(times), 10):
-        at = slice(start, start + 10)
-        batches = {
-            LOWCMD.name: Batch([row.tobytes() for row in rows[at]], *[stamps[at].tolist()] * 2)
-        }
-        found.add_to(batches)
-        added += [batches[REFERENCE.name]] if REFERENCE.name in batches else []
-        assert all(batch.data for batch in batches.values())
-        told += batches[LOG.name].data if LOG.name in batches else []
-        while not found.searched:
-            time.sleep(0.01)
-    published = np.concatenate([np.array(one.publish_times) for one in added])
-    assert len(told) == 1
-    assert published.min() < T0 + 13_000_000_000
-    assert np.diff(published).min() > 0
-    samples = Samples(REFERENCE, [data for one in added for data in one.data])
-    motion_time = samples["motion_time"]
-    np.testing.assert_allclose(motion_time, 0.8 * ((published - T0) / 1e9 - 4.0), atol=5e-3)
-    np.testing.assert_allclose(samples["q"], trajectory.sample_joints(motion_time)[0], atol=1e-6)
-    assert motion_time.max() <= trajectory.duration
-    theirs, last = Batch([b"theirs"], [0], [0]), [int(stamps[-1])]
-    command = Batch([rows[-1].tobytes()], last, last)
-    batches = {LOWCMD.name: command, REFERENCE.name: theirs}
-    found.add_to(batches)
-    assert batches[REFERENCE.name] is theirs

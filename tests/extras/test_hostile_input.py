@@ -36,13 +36,13 @@ from g1stream.control.gains import read_gains
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
+from g1stream.extras.attach.recorded_motion import FramePose
 from g1stream.extras.ros2.messages import joint_state, tf_message
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
 from g1stream.session.format import CHANNELS, encode_log
-from g1stream.session.recorded_motion import FramePose
 from g1stream.session.source import SessionFiles
 from g1stream.types import Phase
 

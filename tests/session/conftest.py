@@ -1,3 +1,3 @@
-from written_sessions import record, write_session
+from written_sessions import write_session
 
-__all__ = ["record", "write_session"]
+__all__ = ["write_session"]

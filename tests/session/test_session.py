@@ -97,7 +97,7 @@ def test_samples_of_another_layout_are_refused(cdr, write_session):
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("nowhere.mcap", None), ("empty.mcap", ""), ("motion.csv", "Frame,X\n")]
+    ("name", "content"), [("nowhere.mcap", None), ("empty.mcap", ""), ("motion.npz", "Frame,X\n")]
 )
 def test_what_is_no_mcap_file_is_named(tmp_path, name, content):
     if content is not None:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.dds.messages import Batch
 from g1stream.errors import RecordingError
-from g1stream.files import complete_file, output_errors
+from g1stream.files import begins_with, complete_file, output_errors
 from g1stream.optional import extension, import_extra
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
-from g1stream.session.logs import open_source
-from g1stream.session.recording import Recording
+from g1stream.session.parts import parts_of
+from g1stream.session.recording import Recording, has_essentials
+from g1stream.session.source import SessionFiles
 from g1stream.session.streams import STREAMS, PolicyStream
 from g1stream.session.writer import SessionWriter
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Session", "open_session"]
 
+#: First bytes of bags other than MCAP: SQLite, and files compressed as a whole.
+_BAGS: Final = (b"SQLite format 3", b"\x28\xb5\x2f\xfd")
 _EXPORT: Final = "export", "Tables need"
 _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 
@@ -50,7 +53,14 @@ def open_session(path: str | os.PathLike[str]) -> Session:
         ConfigError: the extra that reads it is not installed.
         RecordingError: there is no such file, or it is no session, or it is damaged.
     """
-    return Session(open_source(Path(path)))
+    path = Path(path)
+    foreign = path.suffix.lower() == ".csv" or any(
+        begins_with(parts_of(path)[0], magic) for magic in _BAGS
+    )
+    source = None if foreign else SessionFiles(path)
+    if source and (has_essentials(source.topics) or not source.has_joint_states):
+        return Session(source)
+    return Session(extension("open_log")(path))
 
 
 class Session(Recording):
@@ -106,7 +116,6 @@ class Session(Recording):
                 not played in it; or several places in the motion are equally likely.
             ConfigError: it was played fewer times.
         """
-        from g1stream.analysis.attached import with_motion
         from g1stream.motion.motion import Motion
         from g1stream.motion.readers import load_motion
 
@@ -116,7 +125,7 @@ class Session(Recording):
             )
         if not isinstance(motion, Motion):
             motion = load_motion(motion)
-        return Session(with_motion(self, motion, play))
+        return Session(extension("attach")(self, motion, play))
 
     def plot(
         self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from g1stream.analysis.summary import Summary
     from g1stream.config import Config
-    from g1stream.motion.motion import Motion
 
 EXIT_OK, EXIT_STOPPED = 0, 1
 
@@ -129,14 +128,14 @@ class LiveCommand(SettingsCommand, QuietFlag):
         return super().resolve()
 
     @contextmanager
-    def serving(self, config: Config, motion: Motion | None = None) -> Iterator[None]:
+    def serving(self, config: Config) -> Iterator[None]:
         """With --live, serve for the length of a `with`, and print the address to open."""
         if not self.live:
             yield
             return
         from g1stream.app.live import live
 
-        with live(config, motion=motion) as address:
+        with live(config) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"
             print_note(f"Live in Foxglove and Lichtblick: {where}")
             yield

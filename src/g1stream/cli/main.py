@@ -55,7 +55,7 @@ COMMANDS: Final = {
         ),
         "info": ("cli.info:Info", "Print a session's contents and its tracking error."),
         "attach": (
-            "cli.attach:Attach",
+            "extras.attach.attach_cli:Attach",
             "Find where in a recording of another program a motion was played.",
         ),
         "report": (

@@ -15,11 +15,9 @@ from g1stream.cli.command import (
     on_signals,
     print_note,
     print_summary,
-    print_warning,
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
-from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
@@ -37,7 +35,6 @@ class Record(LiveCommand):
     Examples:
       g1stream record session.mcap
       g1stream record robot.mcap --config robot --interface eth0 --split-size 1000
-      g1stream record mine.mcap --live --motion dance.csv
 
     Exit codes:
       0  recorded
@@ -47,29 +44,14 @@ class Record(LiveCommand):
 
     file: Path = argument("The session file.", "MCAP")
     force: bool = flag(False, "Replace an existing file.")
-    motion: str | None = flag(
-        None,
-        "Motion that another program plays; the live view detects when it is played. "
-        "Use `attach` afterwards to add it to the file.",
-        "MOTION",
-    )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Record, and return the exit code."""
         from g1stream.app.record import record
-        from g1stream.motion.readers import load_motion
 
         stopped: list[str] = []
         config = self.resolve()
-        if self.motion is not None and not self.live:
-            raise ConfigError(
-                "The flag --motion has no effect without --live.",
-                "Add --live, or add the motion to the file later with g1stream attach.",
-            )
-        motion = load_motion(self.motion) if self.motion is not None else None
-        if motion:
-            print_warning(*motion.warnings)
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
@@ -77,7 +59,7 @@ class Record(LiveCommand):
 
         with ExitStack() as stack:
             # Ctrl-C ends a server that does not start.
-            stack.enter_context(self.serving(config, motion))
+            stack.enter_context(self.serving(config))
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -28,9 +28,42 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from g1stream.session.recorded_motion import RecordingFile
+__all__ = [
+    "JOINT_STATES",
+    "ExtendedSource",
+    "FilesSource",
+    "MemorySource",
+    "RecordingFile",
+    "SessionFiles",
+    "SessionSource",
+]
 
-__all__ = ["ExtendedSource", "FilesSource", "MemorySource", "SessionFiles", "SessionSource"]
+
+JOINT_STATES: Final = {
+    ("foxglove.JointStates", "protobuf"),
+    ("sensor_msgs/msg/JointState", "cdr"),
+}
+"""Types and encodings of the joint states that other programs record."""
+
+
+class RecordingFile(Protocol):
+    """A file of messages, such as `McapFile`.
+
+    Attributes:
+        types: message type and encoding by topic.
+        counts: number of messages by topic.
+        unread: bytes at its end that are an incomplete record.
+    """
+
+    counts: Counter[str]
+    unread: int
+
+    @property
+    def types(self) -> dict[str, tuple[str, str]]:
+        """By topic."""
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, in batches of one topic, each topic in order."""
 
 
 class SessionSource(ABC):
@@ -143,6 +176,11 @@ class SessionFiles(FilesSource):
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
         self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
+
+    @property
+    def has_joint_states(self) -> bool:
+        """Whether it has joint states that other programs record."""
+        return not all(JOINT_STATES.isdisjoint(file.types.values()) for file in self._files)
 
     def since(self, topic: str, number: int) -> tuple[int, Iterator[Messages]]:
         """The messages of a topic from `number` or earlier, and the number of the first."""

@@ -13,21 +13,20 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 
 from g1stream.errors import RecordingError
+from g1stream.extras.attach.recorded_motion import (
+    FOXGLOVE,
+    Decoders,
+    FramePose,
+    JointAngles,
+    RecordedMotion,
+)
 from g1stream.extras.ros2.messages import STORE
 from g1stream.files import begins_with
 from g1stream.input_limits import LATEST_NS
 from g1stream.motion.readers import MotionFile
 from g1stream.session.mcap_reader import McapFile, Messages
 from g1stream.session.parts import parts_of
-from g1stream.session.recorded_motion import (
-    FOXGLOVE,
-    Decoders,
-    FramePose,
-    JointAngles,
-    RecordedMotion,
-    RecordingFile,
-)
-from g1stream.session.source import FilesSource
+from g1stream.session.source import FilesSource, RecordingFile
 
 #: Number of messages per batch.
 _ROWS: Final = 100

@@ -21,6 +21,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys.stores import ros2_humble as ros
 
 from g1stream.errors import RecordingError
+from g1stream.extras.attach.recorded_motion import FOXGLOVE
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
 from g1stream.files import output_errors, temporary_path
 from g1stream.session.format import CHANNELS, Channel, encode_string
@@ -33,7 +34,6 @@ from g1stream.session.parts import (
     replace_recording,
     write_metadata_yaml,
 )
-from g1stream.session.recorded_motion import FOXGLOVE
 from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX

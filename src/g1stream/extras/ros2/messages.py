@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_humble as ros
 
-from g1stream.session.recorded_motion import FramePose
+from g1stream.extras.attach.recorded_motion import FramePose
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 """The definitions of ROS 2 messages. Those used here are equal in every ROS 2 since Foxy."""

@@ -27,12 +27,12 @@ from g1stream.dds.messages import (
     Reference,
     SportModeState,
 )
+from g1stream.extras.attach.recorded_motion import FramePose
 from g1stream.extras.ros2.messages import STORE, joint_state, tf_message
 from g1stream.realtime import lower_priority
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
 from g1stream.session.format import encode_string
-from g1stream.session.recorded_motion import FramePose
 from g1stream.types import Floats
 from g1stream.view.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, link_frames
 from g1stream.view.measured_base import MeasuredBase

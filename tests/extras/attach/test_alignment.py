@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from g1stream.analysis.alignment import find_plays
+from g1stream.extras.attach.alignment import find_plays
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 

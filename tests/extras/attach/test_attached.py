@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 import g1stream
-from g1stream.app.attach import write_attached
 from g1stream.app.session import Session
 from g1stream.config import Config
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.attach.write import write_attached
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, yaw_of

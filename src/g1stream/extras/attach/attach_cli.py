@@ -50,8 +50,8 @@ class Attach(MotionPartFlags, QuietFlag):
 
     def run(self) -> int:
         """Find the motion, print the result, write the session, and return the exit code."""
-        from g1stream.app.attach import write_attached
         from g1stream.app.session import open_session
+        from g1stream.extras.attach.write import write_attached
         from g1stream.files import check_output_path, check_suffix
 
         if self.out is not None:

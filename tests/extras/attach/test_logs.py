@@ -55,8 +55,7 @@ def test_columns_are_told_by_the_words_in_their_names(tmp_path):
     [
         ("/joint_states/{joint}/position", "/joint_targets/{joint}/cmd/position"),
         ("/lowstate/motor_state[{number}]/q", "/lowcmd/motor_cmd[{number}]/q"),
-        ("q{number}", "q_des_{number}"),
-        ("joint_pos_{joint}", "action.{joint}"),
+        ("joint_pos_{joint}", "target.{joint}"),
     ],
 )
 def test_names_that_tools_give_to_columns(tmp_path, measured, target):
@@ -91,17 +90,16 @@ def test_times_are_read_in_their_unit(tmp_path, name, factor, start):
         assert session.measured.publish_time[0] == EPOCH * 10**9
 
 
-def test_a_directory_with_a_file_for_each_quantity_in_motor_order(tmp_path):
-    """As the deployment of SONIC writes them."""
-    stamps = {"index": np.arange(200), "time_ms": TIME * 1e3, "ros_timestamp": 0 * TIME}
-    for name, short, values in (("q", "q", Q), ("dq", "dq", DQ), ("action", "act", TARGETS)):
-        columns = {f"{short}_{i}": values[:, i] for i in range(29)}
-        write_csv(tmp_path / f"{name}.csv", stamps | columns)
-    columns = {f"base_q{axis}": QUAT[:, i] for i, axis in enumerate("wxyz")}
-    write_csv(tmp_path / "base_quat.csv", stamps | columns)
-    session = g1stream.open_session(tmp_path)
-    has(session, q=Q, dq=DQ, imu_quat_wxyz=QUAT)
-    np.testing.assert_allclose(session.command.q, TARGETS, atol=1e-6)
+@pytest.mark.parametrize("column", ["q_{number}", "q{number}", "action.{joint}"])
+def test_columns_that_name_no_joint_or_no_target_are_not_guessed_at(tmp_path, column):
+    named_so = {
+        column.format(number=number, joint=joint): TARGETS[:, number]
+        for number, joint in enumerate(JOINT_NAMES)
+    }
+    columns = {"time": TIME, **named("{}.q", Q), **named_so}
+    session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
+    has(session, q=Q)
+    assert "/lowcmd" not in session.topics
 
 
 def test_joints_that_a_log_lacks_are_absent(tmp_path):
@@ -116,7 +114,7 @@ def test_joints_that_a_log_lacks_are_absent(tmp_path):
         (named("{}", Q), "no column of increasing times"),
         ({"time": TIME[::-1], **named("{}", Q)}, "no column of increasing times"),
         ({"time": TIME, "voltage": TIME}, "no column with a joint position"),
-        ({"time": TIME, **{f"q_{i + 1}": Q[:, i] for i in range(29)}}, "counted from 1"),
+        ({"time": TIME, "q_0": Q[:, 0], "q_1": Q[:, 1]}, "no column with a joint position"),
     ],
 )
 def test_what_is_no_log_is_refused(tmp_path, columns, told):

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.alignment import find_plays, least_similarity
 from g1stream.dds.messages import REFERENCE, encode_samples, played_bits
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.attach.alignment import find_plays, least_similarity
 from g1stream.input_limits import NUMBER
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.analysis.alignment import Alignment, Play
+    from g1stream.extras.attach.alignment import Alignment, Play
     from g1stream.motion.motion import Motion
     from g1stream.motion.spline import TrajectoryPoint
     from g1stream.session.recording import Recording

@@ -10,16 +10,21 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from g1stream.errors import MotionError, RecordingError
-from g1stream.input_limits import FRAMES, LATEST_NS, NUMBER, UNPACKED
-from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps, norm_warning
+from g1stream.files import is_session
+from g1stream.input_limits import LATEST_NS, NUMBER, UNPACKED
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warning
 from g1stream.motion.readers import Evidence
+from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
+from g1stream.session.mcap_reader import McapFile
+from g1stream.session.motions import GAP_PERIODS, PAUSE_NS, motion_of_poses
+from g1stream.session.parts import parts_of
 from g1stream.session.streams import MAX_GAP_NS, without_steps
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
@@ -29,10 +34,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from google.protobuf.timestamp_pb2 import Timestamp
-    from numpy.typing import NDArray
 
     from g1stream.motion.readers import MotionFile
-    from g1stream.session.mcap_reader import Messages
+    from g1stream.session.source import RecordingFile
 
 __all__ = [
     "FOXGLOVE",
@@ -41,8 +45,7 @@ __all__ = [
     "JointAngles",
     "RecordedMotion",
     "RecordedPoses",
-    "RecordingFile",
-    "motion_of_poses",
+    "open_recorded",
 ]
 
 T = TypeVar("T")
@@ -55,17 +58,8 @@ _NS_PER_S: Final = 1_000_000_000
 _UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
 #: Rows of the two kinds of times: stamps in messages, and publish times.
 _STAMPS, _PUBLISHED = 0, 1
-#: Times that differ by less are equal, s.
-_SAME_TIME: Final = 1e-6
-#: An interval of more than this many periods and more than `MAX_GAP_NS` is a gap, which becomes a
-#: straight line. If it is also longer than this, ns, the recording was interrupted or its clock was
-#: stepped.
-_GAP_PERIODS: Final = 5
-_PAUSE_NS: Final = 10_000_000_000
 #: A joint that moves by less has not moved, rad.
 _STANDS_STILL: Final = 0.05
-#: Number of gaps that are listed.
-_MOST_GAPS: Final = 5
 
 
 class JointAngles(NamedTuple):
@@ -84,26 +78,6 @@ class FramePose(NamedTuple):
     child: str
     pos: Sequence[float]
     quat_wxyz: Sequence[float]
-
-
-class RecordingFile(Protocol):
-    """A file of messages, such as `McapFile`.
-
-    Attributes:
-        types: message type and encoding by topic.
-        counts: number of messages by topic.
-        unread: bytes at its end that are an incomplete record.
-    """
-
-    counts: Counter[str]
-    unread: int
-
-    @property
-    def types(self) -> dict[str, tuple[str, str]]:
-        """By topic."""
-
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, in batches of one topic, each topic in order."""
 
 
 class RecordedPoses(NamedTuple):
@@ -240,7 +214,7 @@ class RecordedMotion:
         """
         clocks, pose = self._joints.clocks, self._pelvis
         intervals = np.diff(clocks)
-        rises, leap = (intervals[clock] > 0).all(), intervals.max(axis=1) > _PAUSE_NS
+        rises, leap = (intervals[clock] > 0).all(), intervals.max(axis=1) > PAUSE_NS
         other_is_better = leap[clock] and not leap[1 - clock]
         return bool(rises and not other_is_better) and (
             pose is None or pose.overlaps(clocks, clock)
@@ -449,11 +423,11 @@ def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
     """
     intervals, change = np.diff(times), np.abs(np.diff(q, axis=0)).max(axis=1)
     period, steps = max(1, int(np.median(intervals))), []
-    odd = (intervals > max(MAX_GAP_NS, _GAP_PERIODS * period)) | (intervals < -MAX_GAP_NS)
+    odd = (intervals > max(MAX_GAP_NS, GAP_PERIODS * period)) | (intervals < -MAX_GAP_NS)
     for i in np.flatnonzero(odd).tolist():
         interval = int(intervals[i])
         usual = float(np.append(change[max(0, i - 5) : i], change[i + 1 : i + 6]).mean())
-        leap = not 0 <= interval <= max(_PAUSE_NS, _GAP_PERIODS * period)
+        leap = not 0 <= interval <= max(PAUSE_NS, GAP_PERIODS * period)
         goes_on = change[i] <= 3.0 * usual + _STANDS_STILL
         # A robot that moves would have moved further in a pause of the messages.
         if goes_on and (leap or usual * interval / period > 5.0 * change[i] + 2.0 * _STANDS_STILL):
@@ -546,103 +520,18 @@ FOXGLOVE: Final = Decoders(
 """Decoders of Foxglove's messages."""
 
 
-def motion_of_poses(
-    times: Floats,
-    q: Floats,
-    root_pos: Floats,
-    root_quat_wxyz: Floats,
-    path: Path,
-    fps: float | None,
-) -> Motion:
-    """Make a motion of constant frame rate from N poses.
-
-    If several poses are within the same microsecond, the first one is used. If the times have the
-    rate `fps`, the frames are the poses. Otherwise the frames are on cubic splines between the
-    poses, and on straight lines in gaps, which the warnings list.
-
-    Args:
-        times: (N,) s, increasing.
-        q: (N, 29) rad, motor order.
-        root_pos: (N, 3) m, the pelvis in the world frame.
-        root_quat_wxyz: (N, 4) orientation of the pelvis, not zero.
-        path: path of the recording; the motion gets its name.
-        fps: frame rate; the usual rate of the poses if None.
+def open_recorded(file: MotionFile) -> RecordedMotion:
+    """Open joint states recorded by another program or by `convert`.
 
     Raises:
-        RecordingError: a value is not finite or too large, or the times are not those of a motion:
-            time does not advance, or there is a gap of more than 10 s.
-        MotionError: `fps` is not a frame rate.
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
     """
-    numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
-    norms = np.abs(root_quat_wxyz).max(axis=1)
-    valid = (np.abs(numbers) <= NUMBER).all(axis=1) & (norms > SMALLEST_QUAT)
-    if not valid.all():
-        raise RecordingError(
-            f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with an invalid "
-            f"value, the first at {np.argmin(valid)}: a number that is not finite or beyond "
-            f"{NUMBER:g}, or a zero quaternion.",
-            "Record the motion again.",
-        )
-    _, first = np.unique(times.round(6), return_index=True)
-    times = times[first]
-    if len(times) < 2:
-        raise RecordingError(
-            f"The times of {path} do not advance: all are {times[0]:g} s.",
-            "Record the motion again.",
-        )
-    intervals = np.diff(times)
-    period = float(np.median(intervals))
-    rate = round(1.0 / period, 3) if fps is None else fps
-    check_fps(rate, path.stem)
-    n_frames = int((times[-1] - times[0]) * rate + 1e-6) + 1
-    longest = int(intervals.argmax())
-    paused = intervals[longest] > max(_PAUSE_NS / 1e9, _GAP_PERIODS * period)
-    if paused or n_frames > max(FRAMES, 10 * len(times)):
-        raise RecordingError(
-            f"The motion of {path} lasts {times[-1] - times[0]:g} s, but has {len(times)} samples, "
-            f"and none from {times[longest]:g} to {times[longest + 1]:g} s.",
-            "Record the motion again.",
-        )
-    grid = np.minimum(times[0] + np.arange(n_frames) / rate, times[-1])
-    q, root_pos, root_quat_wxyz = q[first], root_pos[first], root_quat_wxyz[first]
-    gaps = np.flatnonzero(intervals > max(MAX_GAP_NS / 1e9, _GAP_PERIODS * period))
-    if len(grid) != len(times) or np.abs(grid - times).max() > _SAME_TIME:
-        poses = q, root_pos, root_quat_wxyz
-        q, root_pos, root_quat_wxyz = _interpolated(times, *poses, grid, gaps + 1)
-    return Motion(
-        name=path.stem,
-        fps=rate,
-        joint_pos=q,
-        root_pos=root_pos,
-        root_quat_wxyz=root_quat_wxyz,
-        source=path,
-        warnings=tuple(
-            f"{path.name}: nothing was recorded for {intervals[i]:.2f} s from {times[i]:.2f} s on; "
-            "the motion is a straight line there"
-            for i in gaps[:_MOST_GAPS]
-        ),
-    )
-
-
-def _interpolated(
-    times: Floats,
-    q: Floats,
-    root_pos: Floats,
-    root_quat_wxyz: Floats,
-    grid: Floats,
-    breaks: NDArray[np.intp],
-) -> tuple[Floats, Floats, Floats]:
-    """Values on a time grid: cubic splines, and straight lines before each of the breaks."""
-    from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation, Slerp
-
-    values = np.hstack([q, root_pos])
-    sampled = np.column_stack([np.interp(grid, times, column) for column in values.T])
-    for part in np.split(np.arange(len(times)), breaks):
-        first, last = np.searchsorted(grid, times[[part[0], part[-1]]])
-        if len(part) > 1:
-            inside = slice(first, last + 1)
-            sampled[inside] = CubicSpline(times[part], values[part])(grid[inside])
-    rotations = Slerp(times, Rotation.from_quat(xyzw_from_wxyz(root_quat_wxyz)))(grid)
-    quat = wxyz_from_xyzw(rotations.as_quat())
-    return sampled[:, :N_JOINTS], sampled[:, N_JOINTS:], quat
+    parts = parts_of(file.path)
+    in_ros = not is_session(parts[0])  # SQLite, or compressed as a whole
+    files = [] if in_ros else [McapFile(part) for part in parts]
+    kinds = {kind for one in files for kind, _ in one.types.values()}
+    if in_ros or "sensor_msgs/msg/JointState" in kinds:
+        recorded: RecordedMotion = extension("read_bag")(file)
+        return recorded
+    return RecordedMotion(file, files, FOXGLOVE)

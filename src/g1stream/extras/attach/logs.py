@@ -14,13 +14,13 @@ import numpy as np
 
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
 from g1stream.errors import RecordingError
-from g1stream.files import begins_with, read_file
+from g1stream.extras.attach.recorded_motion import open_recorded
+from g1stream.files import is_session, read_file
 from g1stream.input_limits import LATEST_NS, UNPACKED
 from g1stream.motion.readers import MotionFile
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNEL_OF
-from g1stream.session.motions import recorded_motion
 from g1stream.session.parts import parts_of
 from g1stream.session.recording import has_essentials
 from g1stream.session.source import MemorySource, SessionFiles
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from g1stream.dds.messages import Topic
-    from g1stream.session.recorded_motion import RecordedMotion
+    from g1stream.extras.attach.recorded_motion import RecordedMotion
     from g1stream.session.source import SessionSource
 
-__all__ = ["open_source"]
+__all__ = ["open_log"]
 
 #: Start time of a log whose times are not since the epoch: 2000-01-01 00:00 UTC, ns.
 _EPOCH: Final = 946_684_800_000_000_000
@@ -48,7 +48,7 @@ _TIME_WORDS: Final = {"t", "time", "timestamp", "stamp"}
 #: Words in column names, by quantity.
 _COMMAND: Final = {
     *("cmd", "lowcmd", "command", "target", "targets", "des", "desired", "ref", "reference"),
-    *("action", "act", "goal", "setpoint"),
+    *("goal", "setpoint"),
 }
 _VELOCITY: Final = {"dq", "qd", "vel", "velocity", "qvel"}
 _TORQUE: Final = {"tau", "torque", "effort"}
@@ -65,36 +65,30 @@ _AXES: Final = {
     ),
     "pos": re.compile(r"(?:base|root|pelvis)_(?:pos_|position_|p)?([xyz])"),
 }
-#: First bytes of bags other than MCAP: SQLite, and files compressed as a whole.
-_BAGS: Final = (b"SQLite format 3", b"\x28\xb5\x2f\xfd")
-#: Files of a directory with one quantity each, and their columns.
-_FILES: Final = ("q", "dq", "motor_torque", "action", "base_quat", "base_ang_vel")
 _JOINTS: Final = sorted(
     ((name.removesuffix("_joint"), i) for i, name in enumerate(JOINT_NAMES)),
     key=lambda one: -len(one[0]),
 )
 
 
-def open_source(path: Path) -> SessionSource:
-    """Open a session, or a recording of another program.
+def open_log(path: Path) -> SessionSource:
+    """Open a recording of another program.
 
     Args:
-        path: a session, a bag of ROS 2, an MCAP with joint states, a CSV log, or a directory of
-            CSV files with one quantity each.
+        path: a bag of ROS 2, an MCAP with joint states, or a CSV log.
 
     Raises:
         ConfigError: the extra that reads it is not installed.
         RecordingError: it is none of these, or damaged.
     """
-    if path.suffix.lower() == ".csv" or (path / "q.csv").is_file():
+    if path.suffix.lower() == ".csv":
         return _csv_log(path)
-    first = parts_of(path)[0]
-    in_bag = any(begins_with(first, magic) for magic in _BAGS)
-    source: SessionSource = extension("read_log")(path) if in_bag else SessionFiles(path)
+    in_mcap = is_session(parts_of(path)[0])
+    source: SessionSource = SessionFiles(path) if in_mcap else extension("read_log")(path)
     if has_essentials(source.topics):
         return source
-    recorded = recorded_motion(MotionFile(path))
-    return _joint_log(path, recorded) if recorded and recorded.has_joints else source
+    recorded = open_recorded(MotionFile(path))
+    return _joint_log(path, recorded) if recorded.has_joints else source
 
 
 def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
@@ -122,41 +116,30 @@ class _Column(NamedTuple):
 
 
 def _csv_log(path: Path) -> MemorySource:
-    """The rows of a CSV file, or of a directory of CSV files, as samples of a robot."""
-    files = [path]
-    if path.is_dir():
-        files = [one for name in _FILES if (one := path / f"{name}.csv").is_file()]
+    """The rows of a CSV file as samples of a robot."""
     log = MemorySource(str(path))
-    log.paths = files
-    columns: dict[_Column, tuple[Ints, Floats]] = {}
-    told: dict[str, str] = {}
-    for file in files:
-        names, table = _read_table(file)
-        times, told["time"] = _times(names, table, file)
-        for name, values in zip(names, table.T, strict=True):
-            if column := _column(name, file.stem if path.is_dir() else ""):
-                columns.setdefault(column, (times, values))
-    joints = sorted(one.number for one in columns if one.quantity == "q")
+    log.paths = [path]
+    names, table = _read_table(path)
+    times, clock = _times(names, table, path)
+    columns: dict[_Column, Floats] = {}
+    for name, values in zip(names, table.T, strict=True):
+        if column := _column(name):
+            columns.setdefault(column, values)
+    joints = {one.number for one in columns if one.quantity == "q"}
     if not joints:
         raise RecordingError(
             f"{path} has no column with a joint position.",
-            f"Name columns by joint, such as q.{JOINT_NAMES[3]}, or q_0 to q_28 in motor order.",
+            f"Name columns by quantity and joint, such as q.{JOINT_NAMES[3]}.",
         )
-    if joints[0] and joints[-1] == N_JOINTS:
-        raise RecordingError(
-            f"The joints in {path} are counted from 1.",
-            f"Count them from 0, in motor order, or use names, such as {JOINT_NAMES[3]}.",
-        )
-    times = columns[_Column("q", joints[0])][0]
     values = {}
     for quantity, size in _SIZES.items():
         found = {one.number: columns[one] for one in columns if one.quantity == quantity}
         if found and (size == N_JOINTS or len(found) == size):
             values[quantity] = np.zeros((len(times), size))
-            for number, (own, samples) in found.items():
-                values[quantity][:, number] = np.interp(times, own, samples)
+            for number, samples in found.items():
+                values[quantity][:, number] = samples
     missing = [name for i, name in enumerate(JOINT_NAMES) if i not in joints]
-    told["made of"] = f"CSV, {', '.join(values)} in {counted(len(times), 'row')}"
+    told = {"time": clock, "made of": f"CSV, {', '.join(values)} in {counted(len(times), 'row')}"}
     _write(log, times, values, told, missing)
     return log
 
@@ -260,8 +243,8 @@ def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
     )
 
 
-def _column(name: str, of: str) -> _Column | None:
-    """The meaning of a column, by its name and, in a directory, by its file's name `of`."""
+def _column(name: str) -> _Column | None:
+    """The meaning of a column by its name, if it names a joint, a motor or an axis."""
     words = _words(name)
     text = "_".join(words)
     for quantity, pattern in _AXES.items():
@@ -270,21 +253,17 @@ def _column(name: str, of: str) -> _Column | None:
             return _Column(quantity, axes.index(found[1]))
     joint = next(((joint, i) for joint, i in _JOINTS if joint in text), None)
     numbers = [word for word in words if word.isdigit()]
-    if joint:
-        number, rest = joint[1], text.replace(joint[0], "")
-    elif len(numbers) == 1 and int(numbers[0]) <= N_JOINTS:
-        number, rest = int(numbers[0]), "_".join(word for word in words if not word.isdigit())
-    else:
+    if joint is None and "motor" in words and len(numbers) == 1 and int(numbers[0]) < N_JOINTS:
+        joint = numbers[0], int(numbers[0])  # motor_state[3].q of a LowState
+    if joint is None:
         return None
-    about = {*rest.split("_"), *of.split("_")} - _NEUTRAL
-    if not joint and not about:
-        return None
+    about = {*text.replace(joint[0], "").split("_")} - _NEUTRAL
     unknown = about - _COMMAND - _VELOCITY - _TORQUE - _POSITION
     command, velocity, torque = (bool(about & one) for one in (_COMMAND, _VELOCITY, _TORQUE))
     if unknown or (command and (velocity or torque)) or (velocity and torque):
         return None
     quantity = "command" if command else "dq" if velocity else "tau" if torque else "q"
-    return _Column(quantity, number)
+    return _Column(quantity, joint[1])
 
 
 def _words(name: str) -> list[str]:

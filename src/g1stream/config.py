@@ -493,8 +493,7 @@ class SimConfig(Table):
     )
     command_delay: float = setting(
         0.0,
-        "time from receiving a LowCmd until the motors apply it; above 0.1 s, a stream reports "
-        "that commands wait in a queue",
+        "time from receiving a LowCmd until the motors apply it",
         "s",
         flag=("sim", "demo"),
         advanced=True,
@@ -813,8 +812,8 @@ class Config(Table):
     robot: Path | None = setting(
         None,
         "the robot: g1_29dof_rev_1_0, g1_29dof (which unitree_mujoco simulates), g1_23dof, "
-        "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0; the "
-        "feed-forward takes it or g1_29dof, whichever fits the robot better",
+        "g1_29dof_lock_waist, g1_dual_arm, or a URDF file; if unset, g1_29dof_rev_1_0, and the "
+        "torque is for what the simulator announces, or for g1_29dof on loopback if it does not",
         flag=ROBOT_FLAG,
         metavar="NAME_OR_URDF",
         example="g1_29dof",

@@ -1,14 +1,11 @@
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.command_delay import CommandDelay
 from g1stream.control.targets import Targets
 from g1stream.errors import SafetyError
-from g1stream.motion.trajectory import Trajectory
 from g1stream.types import Phase
 
 MS = 1_000_000
@@ -377,24 +374,3 @@ def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events
     assert loop.state.phase is Phase.DONE
     assert loop.report.reason == "BrokenError: no wire"
     assert events() == []  # the error is told by who gets it
-
-
-@pytest.mark.parametrize("balanced", [True, False])
-def test_motors_that_follow_old_commands(make_loop, link, motion, timing, balanced):
-    """They are told in the report, and end what they balance, which needs motors in time."""
-
-    def follow(n):
-        old = link.sent[max(0, n - 100)].command
-        link.robot.tau_est[:] = old.tau + old.kp * old.q + old.kd * old.dq
-
-    link.on_send = follow
-    loop = make_loop(
-        targets=Targets(Trajectory(motion, loop=True), start=0.0),
-        timing=replace(timing, play=3000 * MS),
-        command_delay=CommandDelay(balanced=balanced),
-    )
-    report = loop.run()
-    assert report.summary().command_delay_s == pytest.approx(0.2, abs=0.03)
-    assert (len(link.in_phase(Phase.PLAY)) < 1500) == balanced
-    assert bool(report.reason) == balanced
-    link.assert_damped()

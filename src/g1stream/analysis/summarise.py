@@ -15,7 +15,6 @@ from g1stream.analysis.cause import worst_error
 from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
-from g1stream.control.command_delay import DELAY_REMEDY
 from g1stream.control.lowstate import STATE_TIMEOUT
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError
@@ -297,11 +296,6 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
             so = f"so the robot had to move {faster:.1f} times as fast as the motion"
         yield (
             f"The simulator ran at {stream.time_scale:.2f} of real time, {so}: it needs more CPU."
-        )
-    if stream.command_delay_s:
-        yield (
-            f"The motors followed commands that were up to {stream.command_delay_s:.2f} s old: "
-            f"{DELAY_REMEDY}."
         )
     if stream.saturated_ticks:
         ticks = most(stream.saturated_ticks)

@@ -73,7 +73,6 @@ def simulate(
             robot,
             settings.held_by,
             SystemClock(),
-            model=model.name,
             onboard=extension("simulated_service")(participant, settings.onboard),
             view=view if window else None,
         )

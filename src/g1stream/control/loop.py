@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
 from g1stream.control.command import ArmSdkComposer, Composer, NextCommand
-from g1stream.control.command_delay import CommandDelay
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
 from g1stream.control.link import END_OTHER, OtherPublishers
@@ -64,7 +63,6 @@ class StreamLoop:
         period: time between commands, ns.
         allow_second_writer: play even if there is another publisher of LowCmd.
         topic: topic of the commands, LOWCMD or ARM_SDK.
-        command_delay: detects commands that wait in a queue; None: no detection.
         where: DDS domain and network of the robot, for log messages.
 
     Attributes:
@@ -85,7 +83,6 @@ class StreamLoop:
         period: int,
         allow_second_writer: bool = False,
         topic: Topic = LOWCMD,
-        command_delay: CommandDelay | None = None,
         where: str = "",
     ) -> None:
         self._link = link
@@ -98,7 +95,6 @@ class StreamLoop:
         self._period = period
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
         self._topic = topic
-        self._command_delay = command_delay
         self._where, self._next_told = where, _TOLD
         self._robot_time = RobotTime()
         self._low_state = LowState()
@@ -115,7 +111,6 @@ class StreamLoop:
             commands.composer.limits,
             commands.feedforward,
             checks,
-            command_delay,
         )
 
     @property
@@ -249,8 +244,6 @@ class StreamLoop:
         self.damped = self.state.phase is Phase.DAMP
         report.lateness.add(written - deadline)
         report.commands += 1
-        if self._command_delay:
-            self._command_delay.sent(deadline / 1e9, prepared.command)
         self._commands.sent()
         report.error.asked(stamp, prepared.target, playing=self.state.phase is Phase.PLAY)
         report.first_sent = report.first_sent or written
@@ -269,8 +262,6 @@ class StreamLoop:
         self.report.error.received(measured)
         self._robot_time.add(measured, self._feedforward.time_scale)
         self._feedforward.observe(self._commands.phase, measured)
-        if self._command_delay:
-            self._command_delay.add(measured)
 
     @property
     def _target_q(self) -> Floats | None:
@@ -335,8 +326,6 @@ class StreamLoop:
             return self._others.of_state() or unknown
         wrong = "" if unknown else self._checks.stop_reason
         wrong = wrong or self._feedforward.stop_reason()
-        if self._command_delay:
-            wrong = wrong or self._command_delay.stop_reason()
         if wrong := wrong or self._overruns.stop_reason():
             return wrong
         other = self._others.stop_reason(now, waiting=phase is Phase.WAIT)
@@ -453,7 +442,6 @@ def make_loop(
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
-    delay = None if plan.topic is ARM_SDK else CommandDelay(balanced=source.needed)
     return StreamLoop(
         link,
         clock,
@@ -471,6 +459,5 @@ def make_loop(
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
         topic=plan.topic,
-        command_delay=delay,
         where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

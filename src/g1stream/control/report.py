@@ -17,7 +17,6 @@ from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
     from g1stream.config import SafetyConfig
-    from g1stream.control.command_delay import CommandDelay
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.limits import CommandLimits
     from g1stream.control.lowstate import LowStateChecks
@@ -78,7 +77,6 @@ class LoopReport:
         limits: limits of the commands, with counts of their changes.
         feedforward: feed-forward of the commands.
         checks: checks of LowState, with counts of the dropped ones.
-        command_delay: delay of commands in a queue of the receiver; None: not detected.
         commands: number of LowCmds written.
         states: number of LowStates that were the newest at a tick.
         first_sent, last_sent: when the first and last LowCmd were written, ns of CLOCK_MONOTONIC.
@@ -96,7 +94,6 @@ class LoopReport:
     limits: CommandLimits
     feedforward: FeedForward
     checks: LowStateChecks
-    command_delay: CommandDelay | None = None
     commands: int = 0
     states: int = 0
     first_sent: int = 0
@@ -152,7 +149,6 @@ class LoopReport:
             balance=feed.source.summary,
             robot=feed.source.name,
             time_scale=feed.scale.median if feed.scale else None,
-            command_delay_s=self.command_delay.longest if self.command_delay else None,
             states_used=self.states,
             states_wrong_crc=self.checks.crc_errors,
             lateness_histogram_us=late.sparse(),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.control.support import ForceObserver, RevisionFit, SupportCheck
+from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.optional import load_object
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
@@ -39,9 +39,6 @@ SOURCES: Final = {
 `stream.policy`.
 
 To add one, add a row. The class takes the same arguments as `load_source`."""
-
-#: Share of RAMP after which the revision of the robot is chosen.
-_DECISION: Final = 0.8
 
 
 class Moment(NamedTuple):
@@ -202,29 +199,29 @@ def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -
         return made
     if settings.feedforward not in (None, "dynamics"):
         return Source()
-    other = other_revision(robot)
-    return HeldTorques(
-        InverseDynamics(robot),
-        InverseDynamics(other) if other else None,
-        period=settings.period / 1e9,
-        complete=complete,
-    )
+    models = [InverseDynamics(one) for one in possible_revisions(robot, simulated=simulated)]
+    return HeldTorques(*models, period=settings.period / 1e9)
 
 
-def other_revision(robot: G1) -> G1 | None:
-    """The G1 of the other revision if the revision is unknown; None if it is known."""
-    return G1.load(REVISIONS[1]) if robot is G1.default() else None
+def possible_revisions(robot: G1, *, simulated: bool) -> list[G1]:
+    """The robot that is assumed if none is announced, then the other one that may be announced.
+
+    Without a setting the revision is not known. A simulator that announces nothing is
+    unitree_mujoco, which has g1_29dof.
+    """
+    if robot is not G1.default():
+        return [robot]
+    revisions = [robot, G1.load(REVISIONS[1])]
+    return revisions[::-1] if simulated else revisions
 
 
 class HeldTorques(Source):
     """Torques from inverse dynamics of the reference, for a robot with a known support.
 
     Args:
-        dynamics: the model of the robot.
-        alternative: the model of another revision of the robot. During RAMP the measured torques
-            are compared with both models, and the better one is used afterwards.
+        dynamics: the model of the robot, unless the bridge announces the alternative.
+        alternative: the model of another revision of the robot; None: the robot is known.
         period: time between commands, s.
-        complete: every joint gets its torque; otherwise the revision cannot be detected.
     """
 
     def __init__(
@@ -233,16 +230,13 @@ class HeldTorques(Source):
         alternative: InverseDynamics | None = None,
         *,
         period: float,
-        complete: bool = True,
     ) -> None:
         self._dynamics, self._alternative = dynamics, alternative
         self._period = period
-        self._complete = complete
         self._support: Support = "bolted"
         self._trusted = False
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
-        self._fit: RevisionFit | None = None
         self._expected_rate = np.zeros(3)
 
     @property
@@ -271,28 +265,18 @@ class HeldTorques(Source):
             )
         if self._alternative and robot == self._alternative.name:
             self._dynamics = self._alternative
-        elif self._alternative and robot is None and self._complete:
-            self._fit = RevisionFit(support, (self._dynamics, self._alternative))
-        self._use(self._dynamics)
-
-    def _use(self, dynamics: InverseDynamics) -> None:
-        """Compute torques and check the support with this model."""
-        self._dynamics = dynamics
+        elif self._alternative and robot is None:
+            _LOGGER.info("feed-forward: robot %s, assumed; --robot names another", self.name)
         # A support that the bridge announces needs no check.
-        self._check = None if self._trusted else SupportCheck(dynamics, self._support)
-        if self._support == "hanging":
-            self._observer = ForceObserver(dynamics, self._period)
+        self._check = None if self._trusted else SupportCheck(self._dynamics, support)
+        if support == "hanging":
+            self._observer = ForceObserver(self._dynamics, self._period)
 
     def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
-        if self._fit and phase is Phase.RAMP:
-            self._fit.add(measured, scale)
-        elif self._check and phase is Phase.PLAY:
+        if self._check and phase is Phase.PLAY:
             self._check.add(measured, self._expected_rate, scale)
 
     def command(self, moment: Moment) -> Target:
-        if self._fit and (moment.phase is not Phase.RAMP or moment.ramped > _DECISION):
-            self._decide(self._fit.position)
-            self._fit = None
         target, imu, dynamics = moment.target, moment.measured.imu, self._dynamics
         self._expected_rate = target.root_ang_vel
         if self._support == "follow":
@@ -306,17 +290,3 @@ class HeldTorques(Source):
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
         return target._replace(tau=solution.tau)
-
-    def _decide(self, position: float | None) -> None:
-        """Continue with the model that is closer to the measured torques."""
-        first, second = self._dynamics, self._alternative
-        if second is None:
-            return
-        if position is not None and position > 0.5:
-            self._use(second)
-        why = (
-            "the measured torques are too few to detect the revision"
-            if position is None
-            else f"measured torques at {position:.2f}, {first.name} at 0, {second.name} at 1"
-        )
-        _LOGGER.info("feed-forward: robot %s: %s", self.name, why)

@@ -1,28 +1,22 @@
-"""Detect the support and the revision of the robot from measurements. Pure."""
+"""Detect a wrong support from measurements, and the force that carries a robot. Pure."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.robot.dynamics import STICTION_SPEED, BaseMotion, Momentum, friction_torque
-from g1stream.robot.joints import FRICTION
+from g1stream.robot.dynamics import BaseMotion, Momentum
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from g1stream.control.reading import ImuReading, Reading
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.types import Support
 
-__all__ = ["ForceObserver", "RevisionFit", "SupportCheck"]
-
-#: Standard deviation of a measured torque from that of the true model, N·m.
-_DEVIATION: Final = 0.15
+__all__ = ["ForceObserver", "SupportCheck"]
 
 
 class ForceObserver:
@@ -188,140 +182,3 @@ class SupportCheck:
             self.wrong |= self._failed >= self._SPANS
             self._missed, self._changed = np.zeros(2), 0.0
             self._windows = 0
-
-
-class _Window(NamedTuple):
-    """Mean values of the readings in a window.
-
-    Attributes:
-        q, dq, ddq, tau: (29,) rad, rad/s, rad/s², N·m, motor order.
-        quat_wxyz: (4,) pelvis to world.
-        rate: (3,) gyroscope, rad/s.
-        specific: (3,) accelerometer, m/s².
-        friction: (29,) mean friction minus the friction at the mean speed, N·m.
-    """
-
-    q: Floats
-    dq: Floats
-    ddq: Floats
-    tau: Floats
-    quat_wxyz: Floats
-    rate: Floats
-    specific: Floats
-    friction: Floats
-
-    @classmethod
-    def from_readings(cls, readings: Sequence[Reading], passed: float) -> _Window | None:
-        """Average readings over `passed` s of the robot's time; None if a value is not finite.
-
-        The acceleration is the change of velocity.
-        """
-        rows = [(one.q, one.dq, one.tau, *one.imu) for one in readings]
-        columns = [np.array(column, np.float64) for column in zip(*rows, strict=True)]
-        q, dq, tau, quat, rate, specific = (column.mean(axis=0) for column in columns)
-        norm = float(np.linalg.norm(quat))
-        if not np.isfinite(np.concatenate((q, dq, tau, rate, specific, [norm]))).all() or not norm:
-            return None
-        speeds = columns[1]
-        friction = np.mean([friction_torque(speed) for speed in speeds], axis=0)
-        return cls(
-            q,
-            dq,
-            (speeds[-1] - speeds[0]) / passed,
-            tau,
-            quat / norm,
-            rate,
-            specific,
-            friction - friction_torque(dq),
-        )
-
-    @property
-    def deviation(self) -> Floats:
-        """(29,) standard deviation of the torque, N·m, with the dry friction of slow joints."""
-        stuck = FRICTION * (1.0 - np.tanh(np.abs(self.dq) / STICTION_SPEED))
-        return np.hypot(_DEVIATION, stuck)
-
-    def solve(self, model: InverseDynamics, support: Support) -> Iterator[Floats]:
-        """Predict torques (29,), N·m, iteratively; the last one is the result.
-
-        For a hanging robot, the iterations adapt the carrying force to the accelerometer.
-        """
-        base = BaseMotion(self.quat_wxyz, self.rate)
-        force = np.array([0.0, 0.0, model.mass * model.gravity])
-        for _ in range(3 if support == "hanging" else 1):
-            solution = model.solve(support, self.q, self.dq, self.ddq, base, force=force)
-            missing = self.specific - model.specific_force(solution, base)
-            force = force + model.mass * quat_rotate(base.quat_wxyz, missing)
-            yield solution.tau + self.friction
-
-
-class RevisionFit:
-    """Compares measured torques with the inverse dynamics of two models.
-
-    Readings are averaged over windows, with the change of velocity as mean acceleration. For a
-    hanging robot, the carrying force is adapted to the accelerometer. The predicted torques t1 and
-    t2 of the models and the measured torques t give the position a of t between the models, by
-    least squares over all joints and windows:
-
-        a = sum((t - t1) . (t2 - t1) / s²) / sum((t2 - t1)² / s²)
-
-    It is 0 for the first model and 1 for the second. s is the standard deviation of a measured
-    torque.
-
-    Args:
-        support: how the robot is held.
-        models: the two models.
-    """
-
-    _WINDOW: Final = 0.1  # s
-    _GAP: Final = 0.03  # s between readings, above which a window is not used
-    _FEWEST: Final = 8  # minimum number of readings in a window
-    #: Minimum information for a decision, 1 / variance of a.
-    _ENOUGH: Final = 10.0
-
-    def __init__(self, support: Support, models: tuple[InverseDynamics, InverseDynamics]) -> None:
-        self._support = support
-        self._models = models
-        self._products = self._information = 0.0
-        self._readings: list[Reading] = []
-        self._start = self._last = -np.inf
-        self._work: Iterator[None] = iter(())
-
-    @property
-    def position(self) -> float | None:
-        """Position of the measured torques: 0 first model, 1 second model, None unknown."""
-        known = self._information > self._ENOUGH
-        return self._products / self._information if known else None
-
-    def add(self, measured: Reading, scale: float = 1.0) -> None:
-        """Add a reading; each call computes at most one solution of a model.
-
-        `scale` is the ratio of simulated to real time.
-        """
-        next(self._work, None)
-        time = measured.received / 1e9
-        if not 0.0 < time - self._last <= self._GAP:
-            self._readings, self._start = [], time
-        self._last = time
-        self._readings.append(measured)
-        passed = (time - self._start) * scale
-        if time - self._start >= self._WINDOW:
-            if len(self._readings) >= self._FEWEST:
-                self._work = self._evaluate(self._readings, passed)
-            self._readings, self._start = self._readings[-1:], time
-
-    def _evaluate(self, readings: list[Reading], passed: float) -> Iterator[None]:
-        """Compare a window with both models, with one solution per step."""
-        window = _Window.from_readings(readings, passed)
-        if window is None:
-            return
-        predicted = []
-        for model in self._models:
-            for tau in window.solve(model, self._support):
-                latest = tau
-                yield
-            predicted.append(latest)
-        first, second = predicted
-        apart, weight = second - first, 1.0 / window.deviation**2
-        self._products += float((weight * apart) @ (window.tau - first))
-        self._information += float((weight * apart) @ apart)

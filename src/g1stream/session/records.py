@@ -462,8 +462,6 @@ class StreamSummary(Record):
         balance: for a robot on its feet.
         robot: name of the model of the feed-forward torques.
         time_scale: median of simulated over real time, if it was measured.
-        command_delay_s: longest age of the commands that the motors' torques followed, because they
-            had waited in a queue; 0 if it was below 0.1 s, None if it is unknown.
         states_used: LowStates that were the newest at a tick.
         states_wrong_crc: LowStates that were dropped because of their CRC.
         states_received: all received LowStates.
@@ -505,7 +503,6 @@ class StreamSummary(Record):
     balance: BalanceSummary | None = None
     robot: str | None = None
     time_scale: float | None = None
-    command_delay_s: float | None = None
     states_used: Int | None = None
     states_wrong_crc: Int | None = None
     states_received: Int | None = None

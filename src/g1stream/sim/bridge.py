@@ -42,7 +42,6 @@ class Bridge:
         robot: the simulated robot.
         support: how the robot is held, which is announced to streams.
         clock: provides now, stamp and sleep_until.
-        model: name of the simulated robot, which is also announced; "": not announced.
         onboard: its motion service and its own controller, if it has them.
         view: shows the world, called about 50 times a second; returning False ends the run.
     """
@@ -54,7 +53,6 @@ class Bridge:
         support: Support,
         clock: Clock,
         *,
-        model: str = "",
         onboard: Onboard | None = None,
         view: Callable[[], bool] | None = None,
     ) -> None:
@@ -63,7 +61,7 @@ class Bridge:
         self._view = view
         self._commands = RawReader(participant, LOWCMD)
         self._references = RawReader(participant, REFERENCE)
-        announced = AnnouncedBridge(support, model, 1e9 / robot.period)
+        announced = AnnouncedBridge(support, robot.model, 1e9 / robot.period)
         self._low_state = RawWriter(participant, LOWSTATE, user_data=announced.user_data)
         self._sport_mode_state = RawWriter(participant, SPORTMODESTATE)
         self._secondary_imu = RawWriter(participant, SECONDARY_IMU)

@@ -31,7 +31,7 @@ class Lockstep:
 
     Args:
         robot: the simulated robot.
-        support: the support that the robot announces to the loop; None: not announced.
+        support: the support that the robot announces to the loop, with its name; None: neither.
         on_sample: called with every published sample of both sides: its topic, bytes and publish
             time, ns.
     """
@@ -86,7 +86,7 @@ class Lockstep:
         return self._support
 
     def model(self) -> str | None:
-        return None  # the loop detects it
+        return self._robot.model if self._support else None
 
     def receive(self, state: LowState) -> int | None:
         data, self._low_state = self._low_state, b""

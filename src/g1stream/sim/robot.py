@@ -82,6 +82,7 @@ class SimulatedRobot:
 
     Attributes:
         period: time between two LowStates, ns.
+        model: name of the robot.
         report: the counters.
     """
 
@@ -95,6 +96,7 @@ class SimulatedRobot:
     ) -> None:
         self.period = round(1e9 / config.rate)
         self.report = SimReport()
+        self.model = world.robot_name
         self._world = world
         self._mode_machine = mode_machine
         self._noise = noise or SensorNoise(config.noise, config.seed)

@@ -114,6 +114,7 @@ class World:
         model: the `mujoco.MjModel`.
         data: its `mujoco.MjData`, for a viewer.
         timestep: simulation timestep, s.
+        robot_name: name of the robot.
         present: (29,) the joints that the robot has; the state of the others is 0.
         command_delay: command delay in the robot's parameters, s; the caller applies it.
 
@@ -149,6 +150,7 @@ class World:
         self._push, self._rng = push, np.random.default_rng(seed)
         self._loose = 0  # timesteps since the base was released
         self._support.place(self._support.height if base_height is None else base_height)
+        self.robot_name = robot.name
         self.present = robot.present
         self.command_delay = robot.parameters.command_delay
         self._torque_scale = robot.parameters.torque_scale

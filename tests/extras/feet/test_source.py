@@ -25,7 +25,7 @@ LEFT, RIGHT = (
 @pytest.fixture
 def torques(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
-    torques.begin("feet", None, None)
+    torques.begin("feet", None, ROBOT.name)
     torques.ramp_to(first)
     return torques
 
@@ -46,7 +46,7 @@ def commanded(torques, first, tau, ramped=1.0, phase=Phase.RAMP):
 @pytest.mark.parametrize("ramped", [0.5, 1.0])
 def test_in_the_air_it_has_the_torque_of_a_hanging_robot_and_waits(torques, first, ramped):
     held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
-    held.begin("hanging", "hanging", None)
+    held.begin("hanging", "hanging", ROBOT.name)
     expected = held.command(Moment(Phase.RAMP, 0.5, first, at_rest(first), 0.0)).tau
     for _ in range(20):
         command = commanded(torques, first, expected, ramped=ramped)
@@ -93,4 +93,4 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
 def test_a_robot_that_a_simulator_holds_does_not_stand():
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
     with pytest.raises(ConfigError, match="bolted"):
-        torques.begin("feet", "bolted", None)
+        torques.begin("feet", "bolted", ROBOT.name)

@@ -12,7 +12,7 @@ import numpy as np
 
 from g1stream.config import Config
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.sources import HeldTorques, Moment, Source, other_revision
+from g1stream.control.sources import HeldTorques, Moment, Source, possible_revisions
 from g1stream.control.targets import LOWERED, Target
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.feet.balance import Balance
@@ -70,8 +70,7 @@ class StandingTorques(Source):
     ) -> None:
         _require_standing(config, simulated=simulated)
         self._config, self._robot = config, robot
-        other, period = other_revision(robot), config.stream.period / 1e9
-        robots = [one for one in (robot, other) if one]
+        period, robots = config.stream.period / 1e9, possible_revisions(robot, simulated=simulated)
         self.way_down = Squat(robot)
         self._balances = {one.name: Balance(one, period) for one in robots}
         self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)

@@ -179,3 +179,17 @@ def test_a_publisher_whose_clock_is_ahead_is_logged_once(record):
     (text,) = [text for text in logged(path) if "clocks differ" in text]
     assert "state from" in text
     assert "-4.99" in text or "-5.00" in text
+
+
+def test_a_publisher_that_restarts_with_another_clock_is_logged(record, domain_id, until):
+    def publish(first):
+        first.run(range(700))
+        with Participant(domain_id, "lo") as participant:
+            second = Publisher(participant, LOWSTATE)
+            until(second.matched, "the recorder's reader")
+            second.run(range(700, 1400), ahead_ns=5 * S)
+
+    report, path, _ = record((LOWSTATE,), publish)
+    (text,) = [text for text in logged(path) if "clocks differ" in text]
+    assert "-4.99" in text or "-5.00" in text
+    assert report.delays["/lowstate"].median_ns == pytest.approx(-5 * S, abs=50_000_000)

@@ -149,6 +149,9 @@ class Recorder:
         # a wired network the latency is well below 1 ms.
         self._delays: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=_DELAYS))
         self._publishers: dict[str, Publishers] = {}
+        # Writers of each topic so far, and topics whose delay from the newest one has been checked.
+        self._writers: dict[str, set[int]] = defaultdict(set)
+        self._timed: set[str] = set()
         self._late_hosts: set[tuple[str, ...]] = set()
         self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)
         self._warnings = Warnings()
@@ -266,10 +269,15 @@ class Recorder:
             self._writer.write("/log", line, time.time_ns(), logged)
 
     def _check_delay(self, name: str, batch: Batch) -> None:
-        delays = self._delays[name]
+        delays, known = self._delays[name], self._writers[name]
+        if not known.issuperset(batch.writers):  # a restarted publisher may have another clock
+            known.update(batch.writers)
+            delays.clear()
+            self._timed.discard(name)
         delays.append(int(np.median(np.subtract(batch.log_times, batch.publish_times))))
-        if name in self._publishers or len(delays) * self._batch_s < 1.0:
+        if name in self._timed or len(delays) * self._batch_s < 1.0:
             return
+        self._timed.add(name)
         self._publishers[name] = Publishers.from_participant(self._participant, name)
         median, hosts = int(np.median(delays)), tuple(self._publishers[name].hosts)
         told = hosts and hosts in self._late_hosts  # its other topics have the same delay

@@ -151,7 +151,7 @@ def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, tap, 
     last = LowCmd()
     last.motor_mode = 1
     heartbeat.begin_write(last.seal(), time.monotonic_ns())
-    heartbeat.end_write(time.monotonic_ns())
+    heartbeat.end_write(sent=True)
     write, written = RawWriter.write, []
 
     def every_other(writer, data):

@@ -132,10 +132,13 @@ class Heartbeat:
         self._command[:] = command
         self._fields[_WRITING] = now
 
-    def end_write(self, now: int) -> None:
-        """Store when the command was written, ns of CLOCK_MONOTONIC; 0: the write failed."""
-        if now:
-            self._fields[_LAST_WRITE] = now
+    def end_write(self, *, sent: bool) -> None:
+        """Store that the write has ended, and whether the command was sent.
+
+        The time of a write is its begin. The stream may lose its CPU between the packet and here.
+        """
+        if sent:
+            self._fields[_LAST_WRITE] = self._fields[_WRITING]
         self._fields[_WRITING] = 0
 
     @property
@@ -145,7 +148,7 @@ class Heartbeat:
 
     @property
     def last_write(self) -> int:
-        """When the last command was written, ns of CLOCK_MONOTONIC; 0: nothing to damp.
+        """When the last write that has ended began, ns of CLOCK_MONOTONIC; 0: nothing to damp.
 
         During the first write, it is the begin of that write, because the robot may have received
         the command.

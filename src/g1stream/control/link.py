@@ -182,7 +182,7 @@ class DdsLink:
                     return 0
                 written = self._write(command, stamp)
             finally:
-                heartbeat.end_write(written)
+                heartbeat.end_write(sent=written > 0)
         self._references.write(reference, stamp)
         return written
 

@@ -224,6 +224,23 @@ def test_a_joint_that_is_held_fast_is_pushed_no_harder_than_its_motor_can(make_l
     assert limits.fault == ""
 
 
+@pytest.mark.parametrize(("states", "commands"), [(1, 0), (2, 2)])
+def test_a_velocity_that_one_state_alone_has_is_not_commanded(make_limits, states, commands):
+    limits, gains = make_limits(), np.stack([np.full(29, 40.0), np.ones(29)])
+    asked, still, state, measured = np.zeros((2, 29)), np.zeros(29), LowState(), None
+    for k in range(10):
+        state.gyroscope[0] = 0.001 * k  # as noise, so that each has another content
+        state.dq[WRIST] = 9.9 if 5 <= k < 5 + states else 0.0
+        measured = Reading.from_low_state(state, 0, measured)
+        limited, _ = limits.apply(
+            asked, still, elapsed=PERIOD, gains=gains, measured=measured, age=PERIOD
+        )
+        limits.sent()
+        if k == 5:
+            assert limited is asked
+    assert limits.torque_limited[WRIST] == commands
+
+
 def test_an_old_measurement_says_nothing_of_the_torque(make_limits):
     gains, far = np.stack([np.full(29, 100.0), np.ones(29)]), measured_at(np.full(29, 9.0))
     asked = np.zeros((2, 29))

@@ -12,6 +12,7 @@ from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Target
+from g1stream.dds.messages import LowState
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import Solution
 from g1stream.types import Phase
@@ -93,6 +94,17 @@ def test_dynamics_adds_the_torque_of_the_target(made, model, target, imu):
     assert q.tolist() == target.q.tolist()
     assert base.quat_wxyz.tolist() == [1, 0, 0, 0]
     assert force is None
+
+
+def test_a_rate_that_one_state_alone_has_is_not_the_bases(made, model, target):
+    state, measured = LowState(), None
+    state.quaternion[:] = 1, 0, 0, 0
+    for rate in (0.1, 0.2, 9.9):
+        state.gyroscope[:] = rate
+        measured = Reading.from_low_state(state, 0, measured)
+    made().command(Moment(Phase.PLAY, 1.0, target, measured, NOW))
+    ((_, _, base, _),) = model.asked
+    assert base.ang_vel.tolist() == pytest.approx([0.2] * 3)
 
 
 def test_following_takes_the_base_from_the_reference(made, model, target, imu):

@@ -292,3 +292,25 @@ def test_a_speed_that_the_position_does_not_show(begun, robot, speed, moved, sto
     it.state.dq[3] = speed * robot.velocity[3]
     it.state.q[3] += moved * robot.velocity[3] * 0.002
     assert ("reports" in it.publish()) == stops
+
+
+def test_a_steady_velocity_is_the_median_of_three_states(make):
+    it, found = make(), []
+    for value in (1.0, 2.0, 30.0, 3.0, 2.5, np.nan, 4.0, 5.0, 4.5):
+        it.state.dq[7], it.state.gyroscope[1] = value, -value
+        it.publish()
+        measured = it.checks.measured
+        found.append(float(measured.steady_dq[7]))
+        assert np.array_equal(measured.steady_rate[1], -found[-1], equal_nan=True)
+    assert found[:5] == [1.0, 2.0, 2.0, 3.0, 3.0]
+    assert np.isnan(found[5])  # such a LowState is not used, and not compared
+    assert found[6:] == [4.0, 5.0, 4.5]
+
+
+def test_a_repeated_state_is_no_confirmation(make):
+    it = make()
+    it.publish(times=3)
+    it.moving, it.ticking = False, False
+    it.state.dq[7] = 9.0
+    it.publish(times=5)
+    assert (it.checks.measured.dq[7], it.checks.measured.steady_dq[7]) == (9.0, 0.0)

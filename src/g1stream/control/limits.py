@@ -248,9 +248,10 @@ class CommandLimits:
         from the first term, by moving the target towards the measured position, and then from the
         second. So the torque is never increased, the servo keeps as much damping as possible, and a
         blocked joint is pushed with the torque limit of its motor. `tau` alone is within the limit.
+        A false velocity in one LowState must not become a target velocity.
         """
         state = self._state
-        state[0], state[1] = measured.q, measured.dq
+        state[0], state[1] = measured.q, measured.steady_dq
         state[0] += age * state[1]
         shares = gains * (asked - state)
         torque = shares[0] + shares[1] + tau

@@ -165,7 +165,8 @@ class LowStateChecks:
             self.crc_errors += 1
             self._wrong_crcs.append(now)
             return None
-        measured, before = Reading.from_low_state(state, now), self.measured
+        before = self.measured
+        measured = Reading.from_low_state(state, now, before)
         self._interval = (now - before.received) / 1e9 if before else math.inf
         self._check_tick(int(state.tick), now)
         if before is None or measured.content != before.content:

@@ -21,6 +21,9 @@ STALE: Final = 0.02
 """Maximum age of a LowState from which a torque is computed, s: ten states at 500 Hz, in which a
 fast joint moves by 0.5 rad."""
 
+#: Velocities and gyroscope in the values of a LowState, and how many LowStates are compared.
+_DQ, _RATE, _COMPARED = slice(29, 58), slice(91, 94), 3
+
 
 class ImuReading(NamedTuple):
     """A reading of the IMU in the pelvis.
@@ -49,6 +52,8 @@ class Reading:
         content: `q`, `dq`, `tau` and `imu` as bytes.
         finite: whether `q`, `dq`, `tau` and `imu` have no NaN or infinity.
         stamps: publish time and reception time, ns since the epoch, for records; 0 if unknown.
+        recent: the values of up to three LowStates, with different content and finite, oldest
+            first.
     """
 
     q: NDArray[np.floating]
@@ -61,11 +66,37 @@ class Reading:
     content: bytes = b""
     finite: bool = True
     stamps: tuple[int, int] = (0, 0)
+    recent: tuple[NDArray[np.floating], ...] = ()
+
+    @property
+    def steady_dq(self) -> NDArray[np.floating]:
+        """(29,) rad/s, without a value that only one LowState has: the median of the last three."""
+        return self._steady(_DQ) if len(self.recent) == _COMPARED else self.dq
+
+    @property
+    def steady_rate(self) -> NDArray[np.floating]:
+        """(3,) rad/s, the gyroscope, as `steady_dq`."""
+        return self._steady(_RATE) if len(self.recent) == _COMPARED else self.imu.gyroscope
+
+    def _steady(self, part: slice) -> NDArray[np.floating]:
+        first, second, third = (values[part] for values in self.recent)
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        steady: NDArray[np.floating] = np.maximum(low, np.minimum(high, third))
+        return steady
 
     @classmethod
-    def from_low_state(cls, state: LowState, received: int) -> Reading:
-        """Copy a LowState that was received at `received`, ns of the monotonic clock."""
+    def from_low_state(
+        cls, state: LowState, received: int, before: Reading | None = None
+    ) -> Reading:
+        """Copy a LowState that was received at `received`, ns of the monotonic clock.
+
+        `before` is the one before it from the same publisher.
+        """
         values = state.readings()
+        content, recent = values.tobytes(), before.recent if before else ()
+        finite = bool(np.isfinite(values).all())
+        if before is None or content != before.content:
+            recent = (*recent[1 - _COMPARED :], values) if finite else ()
         return cls(
             values[:29],
             values[29:58],
@@ -74,9 +105,10 @@ class Reading:
             int(state.mode_machine),
             received,
             int(state.tick),
-            values.tobytes(),
-            bool(np.isfinite(values).all()),
+            content,
+            finite,
             (state.published, state.received),
+            recent,
         )
 
 

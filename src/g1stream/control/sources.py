@@ -277,14 +277,16 @@ class HeldTorques(Source):
             self._check.add(measured, self._expected_rate, scale)
 
     def command(self, moment: Moment) -> Target:
-        target, imu, dynamics = moment.target, moment.measured.imu, self._dynamics
+        target, measured, dynamics = moment.target, moment.measured, self._dynamics
+        imu = measured.imu
         self._expected_rate = target.root_ang_vel
         if self._support == "follow":
             base = BaseMotion(
                 target.root_quat_wxyz, target.root_ang_vel, target.root_lin_acc, target.root_ang_acc
             )
         else:
-            base = BaseMotion(imu.quat_wxyz.astype(np.float64), imu.gyroscope.astype(np.float64))
+            rate = measured.steady_rate.astype(np.float64)
+            base = BaseMotion(imu.quat_wxyz.astype(np.float64), rate)
         force = self._observer.update(imu) if self._observer else None
         solution = dynamics.solve(self._support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:

@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from g1stream.robot.joints import JOINT_NAMES
 
-__all__ = ["DANCE", "METADATA", "POLICIES", "needs_policies", "network_of"]
+__all__ = ["DANCE", "METADATA", "POLICIES", "endless", "needs_policies", "network_of"]
 
 _SHARED = Path(__file__).parents[2] / "shared"
 POLICIES = _SHARED / "policies"
@@ -45,3 +45,32 @@ def network_of(width=154, n_actions=29, domain="", batch=1, declared=None):
     )
     opsets = [helper.make_opsetid("", 17)] + ([helper.make_opsetid(domain, 1)] if domain else [])
     return helper.make_model(graph, opset_imports=opsets, ir_version=8)
+
+
+def endless(width=154, n_actions=29):
+    """A policy with a loop whose condition always holds."""
+    tensor, real = helper.make_tensor_value_info, TensorProto.FLOAT
+    body = helper.make_graph(
+        [helper.make_node("Identity", [a], [b]) for a, b in (("go", "on"), ("x", "y"))],
+        "body",
+        [
+            tensor("i", TensorProto.INT64, []),
+            tensor("go", TensorProto.BOOL, []),
+            tensor("x", real, [1, width]),
+        ],
+        [tensor("on", TensorProto.BOOL, []), tensor("y", real, [1, width])],
+    )
+    graph = helper.make_graph(
+        [
+            helper.make_node("Loop", ["", "always", "obs"], ["looped"], body=body),
+            helper.make_node("MatMul", ["looped", "weights"], ["actions"]),
+        ],
+        "policy",
+        [tensor("obs", real, [1, width])],
+        [tensor("actions", real, [1, n_actions])],
+        [
+            helper.make_tensor("always", TensorProto.BOOL, [], [True]),
+            numpy_helper.from_array(np.zeros((width, n_actions), np.float32), "weights"),
+        ],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)

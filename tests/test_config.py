@@ -4,7 +4,9 @@ import os
 import re
 import subprocess
 import sys
+import tracemalloc
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,13 @@ from g1stream.config import (
     DdsConfig,
     SafetyConfig,
     load_config,
+    read_toml,
     settings,
 )
+from g1stream.control.gains import read_gains
 from g1stream.control.lowstate import STATE_TIMEOUT
 from g1stream.errors import ConfigError
+from g1stream.robot.parameters import load_parameters
 
 ROOT = Path(__file__).parents[1]
 
@@ -292,3 +297,35 @@ def test_robot_toml_is_more_careful_than_the_defaults():
         assert 0.0 < safety.max_winding_temperature <= 120.0
         assert safety.min_voltage >= 40.0
         assert safety.motor_fault_mask == 0xFFFFFFFF
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join("a" * 100_000) + " = 1",
+        f"[{'.'.join('a' * 100_000)}]",
+        f"x = {{ {'.'.join('a' * 100_000)} = 1 }}",
+        '"=".' * 50_000 + "a = 1",
+        "x = " + "{a = " * 5000,
+        f"live_port = {'9' * 4000}",
+        f"live_port = 0x{'f' * 4000}",
+        f"live_port = -{'9' * 20}",
+        f"[safety]\nmax_tilt = [{'9' * 4000}]",
+    ],
+)
+def test_a_toml_file_that_costs_much_is_refused_before_it_does(tmp_path, text):
+    path = tmp_path / "hostile.toml"
+    path.write_text(text)
+    tracemalloc.start()
+    for read in (load_config, load_parameters, read_gains, partial(read_toml, what="policy file")):
+        with pytest.raises(ConfigError, match="not valid TOML"):
+            read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
+
+
+def test_the_dots_of_numbers_and_the_largest_integers_are_read(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text(f"x = {[0.5] * 128}\ny = {2**63 - 1}\n")
+    assert read_toml(path) == {"x": [0.5] * 128, "y": 2**63 - 1}

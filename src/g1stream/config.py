@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from g1stream.errors import ConfigError
 from g1stream.files import read_file
-from g1stream.input_limits import SETTINGS_FILE
+from g1stream.input_limits import SETTINGS_DOTS, SETTINGS_FILE, check_integers
 from g1stream.network import is_local_only
 from g1stream.types import (
     STREAM_RATE,
@@ -974,7 +974,11 @@ def read_toml(path: Path, what: str = "config") -> dict[str, Any]:
         ConfigError: it cannot be read or is not TOML; the error calls the file `what`.
     """
     try:
-        values: dict[str, Any] = tomllib.loads(read_file(path, SETTINGS_FILE).decode("utf-8"))
+        text = read_file(path, SETTINGS_FILE).decode("utf-8")
+        if max(line.count(".") for line in text.split("\n")) > SETTINGS_DOTS:
+            raise ValueError(f"a line has more than {SETTINGS_DOTS} dots")
+        values: dict[str, Any] = tomllib.loads(text)
+        check_integers(values)
     except OSError as error:
         names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
         raise ConfigError(

@@ -5,7 +5,7 @@ All limits are far above the sizes of real motions, robots and sessions.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 __all__ = [
     "CSV_LINE",
@@ -16,11 +16,13 @@ __all__ = [
     "NUMBER",
     "PICKLE_VALUES",
     "SESSION_RATIO",
+    "SETTINGS_DOTS",
     "SETTINGS_FILE",
     "SMALL_FILE",
     "TEXT",
     "UNPACKED",
     "URDF_LINKS",
+    "check_integers",
 ]
 
 NUMBER: Final = 1e9
@@ -30,6 +32,9 @@ LATEST_NS: Final = 2**62
 
 SETTINGS_FILE: Final = 2**20
 """Bytes of a TOML file or metadata.yaml; their Python parsers take seconds for this size."""
+SETTINGS_DOTS: Final = 128
+"""Dots in a line of a TOML file; its parser takes time and memory for the square of a key's parts.
+An array of numbers has one for each."""
 SMALL_FILE: Final = 16 * 2**20
 """Bytes of a URDF, a correction, or any other file that is read whole and has no other limit."""
 MOTION_FILE: Final = 2**30
@@ -53,3 +58,18 @@ FRAMES: Final = 500_000
 """Frames at which a recording is sampled; two samples can be a century apart."""
 TEXT: Final = 2000
 """Printed characters of a value or a sentence."""
+
+
+def check_integers(values: Any) -> None:
+    """Raise a ValueError if a parsed file has an integer of more than 64 bits.
+
+    Python computes with it, but cannot make a float of it, or print it.
+    """
+    left, seen = [values], set[int]()
+    while left:
+        one = left.pop()
+        if isinstance(one, int) and one.bit_length() > 64:
+            raise ValueError("an integer has more than 64 bits")
+        if isinstance(one, (dict, list)) and id(one) not in seen:  # YAML repeats lists
+            seen.add(id(one))
+            left += one.values() if isinstance(one, dict) else one

@@ -13,6 +13,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
 from g1stream.robot.joints import JOINT_NAMES
+from known_policies import METADATA, endless
 
 
 def contract_of(path):
@@ -335,3 +336,46 @@ def test_a_training_configuration_may_hold_anything(policy, data):
     with suppress(ConfigError):
         contract = contract_of(policy(only=told, width=116))
         assert np.isfinite([contract.kp, contract.kd, contract.default_pos]).all()
+
+
+@pytest.mark.parametrize("value", ["9" * 4000, "0x" + "f" * 4000, "[" + "9" * 4000 + "]"])
+@pytest.mark.parametrize("key", ["step_dt", "stiffness", "history_length", "joint_ids_map"])
+def test_a_huge_integer_in_a_deploy_yaml_is_refused(policy, key, value):
+    path = policy(only={})
+    observations = f"observations:\n  base_ang_vel:\n    history_length: {value}\n"
+    text = observations if key == "history_length" else f"{key}: {value}\n"
+    path.with_name("deploy.yaml").write_text(text)
+    with pytest.raises(ConfigError):
+        contract_of(path)
+
+
+def test_huge_numbers_in_metadata_are_refused(policy):
+    told = {"dof_names": json.dumps(list(JOINT_NAMES)), "kp": "[" + "9" * 4000 + "]"}
+    path = policy(only=told)
+    path.with_suffix(".toml").write_text(
+        "rate = 50.0\ndefault_pos = [0.0]\naction_scale = [0.5]\n"
+        'kd = [2.0]\nterms = [{ name = "base_ang_vel" }]\n'
+    )
+    with pytest.raises(ConfigError, match="kp"):
+        contract_of(path)
+
+
+def test_metadata_that_are_not_utf_8_are_refused(policy):
+    path = policy({"anchor_body_name": "torso_link"})
+    content = path.read_bytes()
+    assert content.count(b"torso_link") == 1
+    path.write_bytes(content.replace(b"torso_link", b"torso_\xff\xfe\xfd\xfc"))
+    with pytest.raises(ConfigError, match="utf-8"):
+        contract_of(path)
+
+
+def test_a_network_that_never_ends_is_ended(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("g1stream.extras.policy.network._LONGEST", 1.0)
+    path = tmp_path / "endless.onnx"
+    model = endless()
+    onnx.helper.set_model_props(model, METADATA)
+    onnx.save(model, path)
+    with pytest.raises(ConfigError, match="longer than 1 s"):
+        Network(path).act(np.zeros(154))
+    assert main(["policy", str(path), "--motion", "demo"]) == 2
+    assert "longer than 1 s" in capsys.readouterr().err

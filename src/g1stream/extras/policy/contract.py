@@ -24,7 +24,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import ALIASES, TERMS
 from g1stream.files import read_file
-from g1stream.input_limits import SETTINGS_FILE
+from g1stream.input_limits import SETTINGS_FILE, check_integers
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.session.records import PolicyInfo, Record
@@ -399,6 +399,7 @@ def _of_deploy(path: Path) -> dict[str, Any]:
 
     try:
         values = yaml.safe_load(read_file(path, SETTINGS_FILE))
+        check_integers(values)
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(
             f"{path} cannot be read: {' '.join(str(error).split())[:200]}.",
@@ -504,7 +505,7 @@ def _term(given: Mapping[str, Any], where: str) -> Term:
 def _number(value: Any, name: str, where: str) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         number = np.nan
     if not np.isfinite(number):
         raise _wrong(name, value, where, "a finite number")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cached_property
+import threading
+import time
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,6 +20,26 @@ __all__ = ["Network"]
 
 #: Largest file with its external data, bytes; a policy has some hundred thousand weights.
 _LARGEST: Final = 256 * 2**20
+
+
+#: Longest run, s; a step of a policy takes milliseconds.
+_LONGEST: Final = 5.0
+#: Start, s of CLOCK_MONOTONIC, and options of the runs that have not ended.
+_RUNNING: Final[dict[int, tuple[float, Any]]] = {}
+
+
+@cache
+def _end_long_runs() -> None:
+    """Start the thread that ends runs of any network that take too long."""
+
+    def watch() -> None:
+        while True:
+            time.sleep(_LONGEST / 10)
+            for begun, options in list(_RUNNING.values()):
+                if time.monotonic() - begun > _LONGEST:
+                    options.terminate = True
+
+    threading.Thread(target=watch, name="network", daemon=True).start()
 
 
 class Network:
@@ -46,6 +68,8 @@ class Network:
         data = self._check_size()
         self.sha256 = _sha256(self.path)
         self.data_sha256 = _sha256(data) if data else None
+        self._run_options = runtime.RunOptions
+        _end_long_runs()
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4  # its errors are raised as exceptions, too
@@ -53,13 +77,14 @@ class Network:
             self._session = runtime.InferenceSession(
                 str(self.path), options, providers=["CPUExecutionProvider"]
             )
-        except Exception as error:  # onnxruntime's error classes are not public
+            told, inputs = self._session.get_modelmeta(), self._session.get_inputs()
+            self.metadata: dict[str, str] = dict(told.custom_metadata_map)
+        except Exception as error:  # of onnxruntime, or of text that is not UTF-8
             raise ConfigError(
                 f"{self.path} cannot be loaded as a policy: {_reason(error)}.",
                 "Give an ONNX file with standard operators, and its external data beside it.",
             ) from error
-        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
-        shapes = {one.name: list(one.shape) for one in self._session.get_inputs()}
+        shapes = {one.name: list(one.shape) for one in inputs}
         self.steps = "time_step" in shapes
         self._step = {"time_step": np.zeros((1, 1), np.float32)} if self.steps else {}
         observations = [name for name in shapes if name != "time_step"]
@@ -88,18 +113,25 @@ class Network:
             step: time step of the motion in the file, if the network takes it.
 
         Raises:
-            ConfigError: the network fails.
+            ConfigError: the network fails, or takes longer than 5 s.
         """
         for value in self._step.values():
             value[:] = step
         feed = {self._observation: observation.astype(np.float32)[None], **self._step}
+        # Signals are not handled meanwhile, as Python does so between two of its instructions.
+        options = self._run_options()
+        options.log_severity_level = 4
+        _RUNNING[id(options)] = time.monotonic(), options
         try:
-            values = self._session.run(None, feed)
+            values = self._session.run(None, feed, options)
         except Exception as error:  # onnxruntime's error classes are not public
+            reason = f"it takes longer than {_LONGEST:g} s" if options.terminate else _reason(error)
             raise ConfigError(
-                f"The network of {self.path} fails: {_reason(error)}.",
+                f"The network of {self.path} fails: {reason}.",
                 "Export it for a batch of 1 and float32 inputs.",
             ) from error
+        finally:
+            del _RUNNING[id(options)]
         batches = map(np.atleast_1d, values)  # a scalar may be an unused output
         return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, JointSet
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import parse_visuals
-from g1stream.robot.urdf import parse_urdf, read_kinematics
+from g1stream.robot.urdf import parse_urdf, read_kinematics, with_fixed_joints
 from robot_shapes import COLORS, SHAPES, Shape
 
 ROBOT_DIR = Path(__file__).resolve().parents[1] / "src/g1stream/robot"
@@ -88,8 +88,10 @@ def main() -> None:
     reference = ET.fromstring(args.reference.read_text(encoding="utf-8"))
     first, *fewer = JOINT_SETS
     source = "Unitree's g1_29dof_rev_1_0"
-    robots = {one.name: make_urdf(with_joints_of(one, reference), one, source) for one in fewer}
-    robots[first.name] = make_urdf(reference, first, source)
+    robots = {first.name: make_urdf(reference, first, source)}
+    for one in fewer:
+        if one.name in VARIANTS:
+            robots[one.name] = make_urdf(with_joints_of(one, reference), one, source)
     other = "g1_29dof"
     robots[other] = (ROBOT_DIR / f"{other}.urdf").read_text(encoding="utf-8")
     if args.mjcf:
@@ -98,6 +100,9 @@ def main() -> None:
         robots[other] = make_urdf(revised, kind, "unitree_mujoco's g1_29dof.xml")
     for name, urdf in robots.items():
         (args.out / f"{name}.urdf").write_text(urdf, encoding="utf-8")
+    for one in fewer:  # the others only lack joints of the first
+        absent = [JOINT_NAMES[joint] for joint in one.absent]
+        robots.setdefault(one.name, with_fixed_joints(robots[first.name], one.name, absent))
     lines = [json.dumps(read_by_yourdfpy(one), separators=(",", ":")) for one in robots.values()]
     (args.out / "robots.jsonl").write_text("\n".join([*lines, ""]), encoding="utf-8")
 
@@ -120,7 +125,7 @@ def read_by_yourdfpy(urdf: str) -> dict[str, Any]:
 
 def with_joints_of(kind: JointSet, reference: ET.Element) -> ET.Element:
     """The reference with the joints fixed that a kind of G1 lacks, and with its figures."""
-    robot, figures = deepcopy(reference), VARIANTS.get(kind.name, {})
+    robot, figures = deepcopy(reference), VARIANTS[kind.name]
     absent = {JOINT_NAMES[i] for i in kind.absent}
     for joint in robot.iter("joint"):
         name = joint.get("name")

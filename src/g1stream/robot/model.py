@@ -18,7 +18,7 @@ from g1stream.errors import ConfigError, RobotError
 from g1stream.files import read_file
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, TORQUE_LIMIT, JointSet, select_joints
 from g1stream.robot.parameters import NOMINAL, Parameters, load_parameters
-from g1stream.robot.urdf import parse_urdf, read_urdf, without_world
+from g1stream.robot.urdf import parse_urdf, read_urdf, with_fixed_joints, without_world
 from g1stream.text import listed
 
 if TYPE_CHECKING:
@@ -147,7 +147,12 @@ class G1:
     @cache
     def _builtin(cls, name: str) -> G1:
         urdf = resources.files(__package__) / f"{name}.urdf"
-        return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
+        if urdf.is_file():
+            return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
+        kind = next(one for one in JOINT_SETS if one.name == name)
+        absent = [JOINT_NAMES[joint] for joint in kind.absent]
+        text = DEFAULT_URDF.read_text(encoding="utf-8")
+        return cls.from_urdf(with_fixed_joints(text, name, absent), name)
 
     @classmethod
     def load(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from copy import deepcopy
 from functools import lru_cache
 from hashlib import sha256
@@ -40,6 +41,7 @@ __all__ = [
     "poses_of",
     "read_kinematics",
     "read_urdf",
+    "with_fixed_joints",
     "with_prefixed_links",
     "without_world",
 ]
@@ -124,6 +126,15 @@ def _end(joint: ET.Element, tag: str) -> str:
     """The link at the `parent` or `child` end of a joint."""
     end = joint.find(tag)
     return "" if end is None else end.get("link", "")
+
+
+def with_fixed_joints(text: str, name: str, joints: Iterable[str]) -> str:
+    """The text of a URDF in this package, renamed, with some of its joints fixed at 0."""
+    text = re.sub('<robot name="[^"]*">', f'<robot name="{name}">', text, count=1)
+    for joint in joints:
+        moving = f'<joint name="{joint}" type='
+        text = text.replace(f'{moving}"revolute">', f'{moving}"fixed">')
+    return text
 
 
 def with_prefixed_links(root: ET.Element, prefix: str) -> str:

@@ -1,8 +1,8 @@
 """Whether the cause that is told of an error is the one that brought it about.
 
 A motion that touches itself is played twice in lockstep, with and without self-collision. Of each
-second of it, the cause of the greatest error is looked for as `g1stream info` does. Where the same
-joint's error at that instant is less than half without self-collision, that was the cause.
+second of it, the cause of the greatest error is looked for as `g1stream report` does. Where the
+same joint's error at that instant is less than half without self-collision, that was the cause.
 
     python benchmarks/cause.py dance.csv --seconds 60
 """
@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import g1stream
-from g1stream.analysis.cause import worst_error
 from g1stream.config import Config
+from g1stream.extras.report.cause import worst_error
 from g1stream.robot.joints import JOINT_NAMES
 
 #: Errors below are left out, rad; and those so soon after a second has begun, s, that what was
@@ -37,7 +37,7 @@ def main() -> None:
     table: Counter[tuple[bool, str]] = Counter()
     for begin in np.arange(0.0, args.seconds - 1.0, 0.5):
         part = session.sel(time=slice(begin, begin + 1.0))
-        worst = worst_error(part, part.tracking(), None)
+        worst = worst_error(part)
         if abs(worst.error_rad) < LEAST or worst.at_s < begin + SOON:
             continue
         row = int(np.abs(without.motion_time - worst.at_s).argmin())

@@ -2,7 +2,6 @@ import os
 from pathlib import Path
 
 from g1stream.analysis.body import Excess, TerminationMetrics
-from g1stream.analysis.cause import WorstError
 from g1stream.analysis.summary import MessageStats, SuccessMetrics, Summary, Termination, outcome
 from g1stream.analysis.tracking import ErrorStats, TrackingSummary
 from g1stream.realtime import Grant
@@ -98,13 +97,6 @@ RECORDED = Summary(
         },
     ),
     tracking=TRACKING,
-    worst=WorstError(
-        joint=JOINT_NAMES[6],
-        error_rad=-0.028,
-        at_s=6.0,
-        cause="torque",
-        why="its motor gives 87.9 N·m, and its limit is 88 N·m",
-    ),
     topics={
         "/log": MessageStats(count=12),
         "/lowcmd": MessageStats(

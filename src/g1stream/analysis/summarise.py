@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.analysis.cause import worst_error
 from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
@@ -166,10 +165,6 @@ def summarise(session: Recording) -> Summary:
     )
     if summary.moves and summary.tracking:
         summary.spoilt_by_ms = _longest_stall(session)
-    if summary.tracking:
-        kept = (summary.settings or {}).get("safety.position_margin", 0.0)
-        margin = kept if isinstance(kept, float) else 0.0
-        summary.worst = worst_error(session, tracking(session), stream, margin)
     summary.problems = [
         *find_problems(summary),
         *_file_problems(session),

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import computed_field
 
 from g1stream.analysis.body import TerminationMetrics
-from g1stream.analysis.cause import WorstError
 from g1stream.analysis.tracking import TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
@@ -166,7 +165,6 @@ class Summary(Record):
         feedforward_log: log messages about feed-forward, also of a killed stream.
         recorder: counters of the recorder.
         tracking: the tracking error.
-        worst: the largest error of a joint, and its cause.
         spoilt_by_ms: longest stop or jump of the robot's own time in PLAY, if above 40 ms and if
             nothing held the pelvis; the run then does not show the quality of its controller.
         success, terminations: for a robot that nothing held; only `g1stream info` sets them, from
@@ -200,7 +198,6 @@ class Summary(Record):
     feedforward_log: list[str] = []
     recorder: RecorderSummary | None = None
     tracking: TrackingSummary | None = None
-    worst: WorstError | None = None
     spoilt_by_ms: float | None = None
     success: SuccessMetrics | None = None
     terminations: TerminationMetrics | None = None
@@ -260,13 +257,12 @@ def outcome(summary: Summary) -> str:
     tracking, ended = summary.tracking, _ended(summary)
     parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
     if tracking:
-        name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
-        why = f": {summary.worst.why}" if summary.worst and summary.worst.why else ""
+        name, worst = tracking.worst
         parts.append(
             f"the joints followed with an RMSE of "
             f"{math.degrees(tracking.all_joints.rmse_rad):.2f} deg, at worst "
             f"{math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
-            f"{worst.max_abs_at_s:.1f} s{why})"
+            f"{worst.max_abs_at_s:.1f} s)"
         )
     elif summary.recorder or summary.stream or summary.first_ns is not None:
         parts.append("tracking error: not recorded")
@@ -504,11 +500,10 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
         delay = "only computed for recordings: give --record"
     else:
         delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
-    worst = str(summary.worst) if summary.worst else ""
     return [
         *table(rows, left=(0, 5)),
         "",
-        *_lines([("worst", worst), ("delay", delay), ("compared", compared), *_success(summary)]),
+        *_lines([("delay", delay), ("compared", compared), *_success(summary)]),
     ]
 
 

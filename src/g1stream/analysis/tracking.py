@@ -144,6 +144,11 @@ class TrackingSummary(Record):
     limbs: dict[str, ErrorStats]
     joints: dict[str, ErrorStats]
 
+    @property
+    def worst(self) -> tuple[str, ErrorStats]:
+        """The joint with the largest error, and its errors."""
+        return max(self.joints.items(), key=lambda one: one[1].max_abs_rad)
+
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:

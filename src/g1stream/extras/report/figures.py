@@ -50,7 +50,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         else {}
     )
     limits = {name: one.limit_nm for name, one in torque.joints.items()} if torque else {}
-    worst = summary.worst and summary.worst.joint
+    worst = tracking.worst[0] if tracking else ""
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],

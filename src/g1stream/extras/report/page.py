@@ -20,6 +20,7 @@ from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.extras.physics.result import MotionPhysics, Verdict
 from g1stream.extras.policy.steps import PolicySteps, policy_steps
+from g1stream.extras.report.cause import WorstError, worst_error
 from g1stream.extras.report.figures import figures
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import overview, physics_tables, policy_tables, tables
@@ -117,10 +118,12 @@ def _told(
     metrics, summary = session.metrics(), session.summary()
     physics = session_physics(session, summary, partial(progress, "physics"))
     policy = policy_steps(session)
+    worst = worst_error(session) if summary.tracking else None
     values = {
         "path": str(session.path),
         "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
+        "worst": worst.model_dump(mode="json") if worst else None,
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
         "policy": policy.model_dump(mode="json") if policy else None,
@@ -137,6 +140,8 @@ def _page(sessions: Iterable[Session], progress: Progress) -> str:
         key = f"sessions.{number}"
         file = session.path.name if session.paths else ""
         section = _section(key, told["metrics"], drawn[-1], summary, physics, file)
+        if told["worst"]:
+            section["facts"].append(("worst error", str(WorstError(**told["worst"]))))
         section["policy"] = _policy(policy, f"{key}.policy")
         sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1

@@ -26,7 +26,7 @@ from g1stream.errors import RobotError
 from g1stream.input_limits import NUMBER
 from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.records import Record
+from g1stream.session.records import Record, SessionInfo, StreamSummary, read_record
 from g1stream.session.streams import ArmCommandStream, CommandStream, MeasuredStream
 from g1stream.text import short_name
 from g1stream.types import Phase
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.analysis.tracking import Tracking
+    from g1stream.app.session import Session
     from g1stream.robot.model import G1
     from g1stream.session.recording import Recording
-    from g1stream.session.records import StreamSummary
     from g1stream.session.streams import Stream
     from g1stream.types import Floats
 
@@ -111,20 +111,21 @@ class WorstError(Record):
         return f"{name} {size} at {self.at_s:.2f} s" + (f": {why}" if why else "")
 
 
-def worst_error(
-    session: Recording, tracking: Tracking, stream: StreamSummary | None, margin: float = 0.0
-) -> WorstError:
+def worst_error(session: Session) -> WorstError:
     """Find the largest error of a played joint, and its cause.
 
     Args:
-        session: session with a reference.
-        tracking: tracking of the session.
-        stream: counters of the stream; None if they are unknown.
-        margin: distance that targets keep from the position limits, rad.
+        session: session with a reference and a measured state.
 
     Raises:
-        RecordingError: the file is damaged.
+        RecordingError: the file is damaged, or there is nothing to compare.
     """
+    tracking = session.tracking()
+    stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
+    known, _ = read_record(SessionInfo, session.metadata)
+    safety = (known.config or {}).get("safety", {}) if known else {}
+    kept = safety.get("position_margin") if isinstance(safety, dict) else None
+    margin = kept if isinstance(kept, float) else 0.0
     try:
         robot = session.robot
     except RobotError:

@@ -86,7 +86,7 @@ def stream(
     config, clock = for_wire(config), SystemClock()
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
-        Guard(config, participant.sockets) as guard,
+        Guard(config, participant) as guard,
         ExitStack() as stack,
     ):
         joined = clock.now()

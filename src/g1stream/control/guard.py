@@ -280,7 +280,7 @@ class Guard:
 
     Args:
         config: settings of the stream, including those that `for_wire` sets.
-        sockets: file descriptors of the sockets through which the stream sends its commands.
+        participant: the participant that sends the commands.
 
     Raises:
         ConfigError: the guard is disabled, and a robot may be commanded.
@@ -288,7 +288,9 @@ class Guard:
         ChildError: the guard process cannot be started.
     """
 
-    def __init__(self, config: Config, sockets: Sequence[int] = ()) -> None:
+    def __init__(self, config: Config, participant: Participant | None = None) -> None:
+        self._participant = participant
+        sockets = participant.sockets if participant else ()
         self._loop: GuardedLoop | None = None
         self._failure = ""
         self._began = False
@@ -349,6 +351,8 @@ class Guard:
             _LOGGER.warning("%s", error.cause)
         finally:
             if self._heartbeat:
+                if self._participant and self._heartbeat.takeover:
+                    self._participant.cut_off()
                 self._heartbeat.close()
 
     def _fail(self, cause: str) -> None:

@@ -178,7 +178,7 @@ class DdsLink:
             written = 0
             try:
                 if heartbeat.takeover:
-                    self._participant.mute()  # the guard has shut its sockets down
+                    self._participant.cut_off()
                     return 0
                 written = self._write(command, stamp)
             finally:

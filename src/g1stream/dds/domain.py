@@ -279,8 +279,11 @@ class Participant:
         self._writers = _Discovered(self.entity, BuiltinTopicDcpsPublication)
         self._readers = _Discovered(self.entity, BuiltinTopicDcpsSubscription)
 
-    def mute(self) -> None:
-        """Let Cyclone print nothing until this is closed, such as a line for each failed send."""
+    def cut_off(self) -> None:
+        """Note that the sockets have been shut down for sending, as by a guard process.
+
+        Until this is closed, Cyclone does not print a line for each packet.
+        """
         self._log_mask = self._log_mask or DDS._dll_handle.dds_get_log_mask()
         DDS._dll_handle.dds_set_log_mask(0)
 
@@ -349,9 +352,13 @@ class Participant:
             entity.close()
         self._entities.clear()
         del self._participants, self._writers, self._readers
-        del self.entity
         joined = self._domains[self.domain]
         joined.participants -= 1
+        if self._log_mask is not None and not joined.participants:
+            # The writers are gone. Cyclone 0.10 ends its receiving threads with a packet to itself.
+            for descriptor in joined.sockets:
+                _renew(descriptor)
+        del self.entity
         if not joined.participants:
             del self._domains[self.domain]
             del joined
@@ -398,6 +405,19 @@ def _config(interface: str) -> str:
         multicast=_LOOPBACK_MULTICAST if here else "",
         discovery=_LOOPBACK_DISCOVERY if here else "",
     )
+
+
+def _renew(descriptor: int) -> None:
+    """Replace a UDP socket that has been shut down for sending with one that sends as it did."""
+    multicast = socket.IPPROTO_IP, socket.IP_MULTICAST_IF
+    with (
+        socket.socket(fileno=os.dup(descriptor)) as old,
+        socket.socket(old.family, old.type) as new,
+    ):
+        if (old.family, old.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+            new.bind((old.getsockname()[0], 0))
+            new.setsockopt(*multicast, old.getsockopt(*multicast, 4))
+            os.dup2(new.fileno(), descriptor, inheritable=False)
 
 
 def _native_threads() -> set[int]:

@@ -241,7 +241,7 @@ def dask_cluster(
                     raise RuntimeError(f"dask scheduler ended with code {head.returncode}")
                 time.sleep(0.05)
             address = json.loads(file.read_text())["address"]
-            worker = ("worker", address, "--nthreads", str(threads))
+            worker = ("worker", address, "--host", "127.0.0.1", "--nthreads", str(threads))
             many += [start(*worker) for _ in range(workers)]
             yield address, head, many
         finally:

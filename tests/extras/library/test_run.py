@@ -3,8 +3,10 @@ import os
 import pickle
 import re
 import signal
+import socket
 import subprocess
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import LibraryCase
 from g1stream.extras.library.files import LIBRARY
 from g1stream.extras.library.processes import Limits
-from g1stream.extras.library.run import LibraryRun, run_library
+from g1stream.extras.library.run import LibraryRun, open_executor, run_library
 from g1stream.extras.library.table import condition_value, open_library
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
@@ -212,6 +214,48 @@ def test_the_command(motions, tmp_path, capsys):
     assert run("--sessions")[0] == 2
     for address in ("127.0.0.1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):
         assert run("--cluster", address)[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("address", "trusted"),
+    [
+        *(("tcp://10.1.2.3:8786", False), ("head:8786", False), ("tcp://head:8786", False)),
+        *(("tcp://127.0.0.1.example:1", False), ("tcp://[fe80::1]:1", False), ("ws://h:1", False)),
+        *(("tcp://127.0.0.1:1", True), ("localhost:1", True), ("tcp://[::1]:1", True)),
+        ("127.0.0.1", True),
+    ],
+)
+@pytest.mark.parametrize("insecure", [False, True])
+def test_a_scheduler_elsewhere_needs_tls_or_so_many_words(
+    address, trusted, insecure, tmp_path, monkeypatch, capsys
+):
+    asked = []
+
+    @contextmanager
+    def client(cluster, *_):
+        asked.append(cluster)
+        raise ConfigError("That is enough.", "")
+        yield
+
+    monkeypatch.setattr("g1stream.extras.library.run._client", client)
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(tmp_path / "a.npz")
+    given = ["library", "check", str(tmp_path / "a.npz"), "-o", str(tmp_path / "out")]
+    given += ["--cluster", address] + ["--cluster-insecure"] * insecure
+    for scheme in (address, f"tls://{address.rpartition('://')[2]}"):
+        given[given.index("--cluster") + 1] = scheme
+        assert main(given) == 2
+        allowed = trusted or insecure or scheme.startswith("tls:")
+        assert asked == [scheme] * allowed
+        assert ("--cluster-insecure" in capsys.readouterr().err) is not allowed
+        asked.clear()
+
+
+def test_what_never_answers_is_no_scheduler(monkeypatch):
+    monkeypatch.setattr("g1stream.extras.library.run._TIMEOUT", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(ConfigError, match="no answer within 1 s"), open_executor(1, address):
+            pass
 
 
 def test_the_rate_is_that_of_all_rows_that_are_done():

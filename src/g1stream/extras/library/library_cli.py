@@ -69,7 +69,7 @@ class Library(SettingsCommand, QuietFlag):
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
       g1stream library simulate motions --policy a.onnx --sweep sim.push=0,0.5
       g1stream library check motions --fail-if 'max_collision > 10'
-      g1stream library check motions --cluster tcp://head:8786
+      g1stream library check motions --cluster tls://head:8786
 
     Exit codes:
       0        computed, even if motions failed
@@ -123,6 +123,12 @@ class Library(SettingsCommand, QuietFlag):
         "ADDRESS",
         advanced=True,
     )
+    cluster_insecure: bool = flag(
+        False,
+        "Use a scheduler on another machine without TLS: whoever can answer in its place runs "
+        "code here and on the workers.",
+        advanced=True,
+    )
     time_limit: float = flag(600.0, "Time for a motion.", "SECONDS", gt=0, advanced=True)
     memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0, advanced=True)
     fail_if: list[str] = flag(
@@ -152,6 +158,7 @@ class Library(SettingsCommand, QuietFlag):
                 cases,
                 workers=self.workers,
                 cluster=self.cluster,
+                insecure=self.cluster_insecure,
                 limits=Limits(self.time_limit, self.memory_limit),
                 run=run,
                 on_row=_print_row if self.json else lambda row: None,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from ipaddress import ip_address
 from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -33,7 +34,7 @@ from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Executor
 
     from g1stream.extras.library.compute import LibraryCase
     from g1stream.extras.library.table import MotionRow, Rows, TableWriter
@@ -108,6 +109,7 @@ def run_library(
     *,
     workers: int | None = None,
     cluster: str | None = None,
+    insecure: bool = False,
     limits: Limits | None = None,
     run: LibraryRun | None = None,
     on_row: Callable[[MotionRow], None] = lambda row: None,
@@ -123,7 +125,9 @@ def run_library(
         places: directories, files and URLs.
         cases: computations for each motion, all with the same directory.
         workers: number of processes on this machine; one for each CPU if None.
-        cluster: address of a Dask scheduler whose workers are used instead.
+        cluster: address of a Dask scheduler whose workers are used instead. Whoever runs it, or
+            can change its messages, runs code here and on the workers.
+        insecure: use a scheduler on another machine without TLS.
         limits: limits of time and memory for a row; the defaults if None.
         run: state of the run, updated during it; a new one if None.
         on_row: called with each written row.
@@ -150,7 +154,9 @@ def run_library(
     run.files = len(locations)
     with (
         writing(out) as table,
-        open_executor(workers or os.cpu_count() or 1, cluster, warn=warn, stop=stop) as executor,
+        open_executor(
+            workers or os.cpu_count() or 1, cluster, insecure=insecure, warn=warn, stop=stop
+        ) as executor,
     ):
         contents = list(_contents(executor, locations, run, stop))
         tasks: list[Task] = []
@@ -264,8 +270,9 @@ R = TypeVar("R")
 _WINDOW: Final = 4096
 #: Results within this time are returned together, s, because writing a row alone takes 10 ms.
 _TOGETHER: Final = 0.25
-#: Timeout for connecting to the scheduler, s.
+#: Timeout for an answer of the scheduler, and for workers to import g1stream, s.
 _TIMEOUT: Final = 10.0
+_START: Final = 60.0
 #: Time between checks whether to stop, s.
 _POLL: Final = 0.2
 
@@ -275,6 +282,7 @@ def open_executor(
     workers: int,
     cluster: str | None = None,
     *,
+    insecure: bool = False,
     warn: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Executor]:
@@ -282,15 +290,17 @@ def open_executor(
 
     Args:
         workers: number of processes on this machine.
-        cluster: address of a Dask scheduler to use instead, such as `tcp://host:8786`.
+        cluster: address of a Dask scheduler to use instead, such as `tls://host:8786`.
+        insecure: as of `run_library`.
         warn: called with the reason for waiting, and a remedy.
         stop: polled; True ends the wait for workers.
 
     Raises:
-        ConfigError: the extra `cluster` is not installed, there is no scheduler, or its workers
-            lack g1stream or have another version.
+        ConfigError: the extra `cluster` is not installed, the scheduler may not be trusted, there
+            is none, or its workers lack g1stream or have another version.
     """
     if cluster:
+        _require_trusted(cluster, insecure=insecure)
         with _client(cluster, warn, stop) as client:
             yield client.get_executor(pure=False)
         return
@@ -306,34 +316,69 @@ def open_executor(
             joining.join(_POLL)
 
 
+def _require_trusted(cluster: str, *, insecure: bool) -> None:
+    """Refuse a scheduler elsewhere whose messages anybody on the way can replace."""
+    scheme, _, rest = cluster.rpartition("://")
+    host = rest.rpartition(":")[0].strip("[]") or rest
+    with suppress(ValueError):
+        insecure |= ip_address(host).is_loopback
+    if insecure or host == "localhost" or scheme == "tls":
+        return
+    raise ConfigError(
+        f"The scheduler {cluster} is on another machine, and is asked for without TLS: whoever "
+        "can answer in its place runs code here and on the workers.",
+        "Give tls://HOST:PORT with certificates (docs/scale.md), or --cluster-insecure in a "
+        "network of your own.",
+    )
+
+
+def _in_time(call: Callable[[], T], seconds: float) -> T:
+    """Call a function of Dask, whose own timeouts do not cover a peer that never answers.
+
+    It has a thread of its own because this thread may have a notebook's event loop.
+    """
+    result: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            result.set_result(call())
+        except BaseException as error:
+            result.set_exception(error)
+
+    Thread(target=run, name="cluster", daemon=True).start()
+    if not wait([result], seconds).done:
+        raise OSError(f"no answer within {seconds:g} s")
+    return result.result()
+
+
 @contextmanager
 def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool]) -> Iterator[Any]:
     distributed = import_extra("distributed", "cluster", "--cluster needs")
     try:
-        with ThreadPoolExecutor(1) as thread:  # this thread may have a notebook's event loop
-            thread.submit(asyncio.run, _connected(cluster)).result()
-        client = distributed.Client(cluster, timeout=_TIMEOUT, set_as_default=False)
-    except TypeError as error:  # raised for TLS without certificates
-        raise ConfigError(
-            f"The Dask scheduler {cluster} only accepts TLS connections: {error}.",
-            "Set its certificates in Dask's configuration, distributed.comm.tls.",
-        ) from error
-    except (OSError, ValueError) as error:
+        _in_time(lambda: asyncio.run(_connected(cluster)), _TIMEOUT)
+        make = partial(distributed.Client, cluster, timeout=_TIMEOUT, set_as_default=False)
+        client = _in_time(make, 2.0 * _TIMEOUT)
+    except Exception as error:  # what is no scheduler may answer anything
+        if cluster.startswith("tls://") and isinstance(error, TypeError):
+            raise ConfigError(
+                f"The Dask scheduler {cluster} needs TLS certificates: {error}.",
+                "Set them in Dask's configuration, distributed.comm.tls.",
+            ) from error
         raise ConfigError(
             f"There is no Dask scheduler at {cluster}: {error}.",
             "Start one with `dask scheduler`, and give the address that it prints.",
         ) from error
     with client:
-        if not client.nthreads():
-            warn(
-                f"The scheduler {cluster} has no workers: waiting for workers. Start them with "
-                f"`dask worker {cluster}`, one for each machine."
-            )
-        while not client.nthreads() and not stop():
-            time.sleep(_POLL)
         try:
-            versions = set(client.run(_version).values()) - {__version__}
-        except Exception as error:  # any error of the worker
+            if not _in_time(client.nthreads, _TIMEOUT):
+                warn(
+                    f"The scheduler {cluster} has no workers: waiting for workers. Start them with "
+                    f"`dask worker {cluster}`, one for each machine."
+                )
+            while not _in_time(client.nthreads, _TIMEOUT) and not stop():
+                time.sleep(_POLL)
+            versions = set(_in_time(partial(client.run, _version), _START).values()) - {__version__}
+        except Exception as error:  # any error of the scheduler or a worker
             raise ConfigError(
                 f"The workers of {cluster} cannot run g1stream: {error}.",
                 "Install g1stream on each of them.",

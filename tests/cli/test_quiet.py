@@ -74,7 +74,15 @@ def test_warnings_and_errors_stay(talk, name):
         assert said in err
     for hidden in ("a note", "domain 1 on lo.", "progress"):
         assert hidden not in err
-    assert QUIET not in os.environ or not os.environ[QUIET]
+    assert QUIET not in os.environ
+
+
+@pytest.mark.parametrize("before", ["", "1"])
+def test_the_environment_stays_as_it_was(talk, monkeypatch, before):
+    monkeypatch.setenv(QUIET, before)
+    talk("-q")
+    talk("-q", "--fails")
+    assert os.environ[QUIET] == before
 
 
 def test_what_json_asks_for_and_a_failure_stay(talk):

@@ -64,7 +64,7 @@ def quietly(command: Command) -> Iterator[None]:
     if not getattr(command, "quiet", False):
         yield
         return
-    before = os.environ.get(QUIET, "")
+    before = os.environ.get(QUIET)
     os.environ[QUIET] = "1"  # for child processes, too
     try:
         with ExitStack() as stack:
@@ -73,7 +73,9 @@ def quietly(command: Command) -> Iterator[None]:
                 stack.enter_context(redirect_stdout(nothing))
             yield
     finally:
-        os.environ[QUIET] = before
+        os.environ.pop(QUIET)
+        if before is not None:
+            os.environ[QUIET] = before
 
 
 def print_note(text: str) -> None:

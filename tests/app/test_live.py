@@ -6,13 +6,14 @@ import socket
 import struct
 import time
 from base64 import b64decode
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from g1stream import child_process
@@ -20,7 +21,8 @@ from g1stream.app import live as program
 from g1stream.app.record import record
 from g1stream.app.session import open_session
 from g1stream.child_process import Child
-from g1stream.cli.main import EXIT_BAD_INPUT, main
+from g1stream.cli.flags import parse_flags
+from g1stream.cli.main import EXIT_BAD_INPUT, load_command, main
 from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
@@ -38,11 +40,15 @@ T0 = 1_700_000_000_000_000_000
 STATES = 2500
 
 
-@pytest.fixture
-def port():
+def free_port():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         return taken.getsockname()[1]
+
+
+@pytest.fixture
+def port():
+    return free_port()
 
 
 @pytest.fixture
@@ -197,3 +203,76 @@ def test_a_server_that_fails_is_logged_and_ends_nothing(config, children, caplog
         children[0]._process.kill()
         until(lambda: caplog.records, "the warning")
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
+
+
+@pytest.mark.parametrize(
+    ("origin", "reads"),
+    [
+        *((None, True), ("http://localhost:8080", True), ("http://127.0.0.1", True)),
+        *(("http://[::1]:8080", True), ("https://app.foxglove.dev", True), ("file://", True)),
+        *(("https://viewer.example", True), ("https://viewer.example:444", False)),
+        *(("https://evil.example", False), ("http://localhost.evil.example", False)),
+        *(("null", False), ("https://app.foxglove.dev.evil.example", False), ("", False)),
+        ("http://127.0.0.1.evil.example:8765", False),
+    ],
+)
+def test_only_some_web_pages_may_read(entrance, origin, reads):
+    refused = pytest.raises(InvalidStatus, match="403")
+    headers = {} if origin is None else {"Origin": origin}
+    with nullcontext() if reads else refused, client(entrance, additional_headers=headers) as one:
+        assert "/lowstate" in one.channels
+
+
+@pytest.fixture(scope="module")
+def entrance():
+    """A server, and the port at which clients are let in to it."""
+    server = program._Server([], port := free_port(), ["https://viewer.example"])
+    assert server._server.port != port
+    return port
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET / HTTP/1.1\r\nUpgrade: websocket\r\norigin : https://evil.example\r\n\r\n",
+        b"GET / HTTP/1.1\r\nOrigin: http://localhost\r\nOrigin: https://evil.example\r\n\r\n",
+        b"x" * 200_000,
+    ],
+)
+def test_what_asks_for_no_websocket_gets_nothing(entrance, request_):
+    with socket.create_connection(("127.0.0.1", entrance), 5.0) as one, suppress(OSError):
+        one.sendall(request_)
+        answer = one.recv(1000)
+        assert answer[:12] in (b"HTTP/1.1 403", b"HTTP/1.1 426", b"")
+        assert one.recv(1000) == b""
+
+
+def test_the_number_of_clients_is_limited(entrance, until):
+    with ExitStack() as some:
+        for _ in range(16):
+            some.enter_context(client(entrance))
+        with pytest.raises(InvalidStatus, match="503"), client(entrance):
+            pass
+
+    def lets_in():
+        with suppress(InvalidStatus), client(entrance):
+            return True
+
+    until(lets_in, "a place")
+
+
+def test_a_flag_lets_other_web_pages_in(monkeypatch):
+    asked = []
+
+    @contextmanager
+    def live(_, **given):
+        asked.append(given["origins"])
+        yield "ws://localhost"
+
+    monkeypatch.setattr(program, "live", live)
+    command = parse_flags(
+        load_command("sim"), "sim", "", ["--live", "--live-origin", "https://viewer.example"]
+    )
+    with command.serving(Config()):
+        assert asked == [["https://viewer.example"]]

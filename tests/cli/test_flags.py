@@ -65,6 +65,7 @@ def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
         ("stream", ("--split-size", "5"), "--split-size"),
         ("stream", ("--force",), "--force"),
         ("sim", ("--live-port", "9000"), "--live-port"),
+        ("sim", ("--live-origin", "https://viewer.example"), "--live-origin"),
     ],
 )
 def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments, named):

@@ -121,11 +121,23 @@ class LiveCommand(SettingsCommand, QuietFlag):
         "(extra `live`).",
     )
 
+    live_origin: list[str] = flag(
+        (),
+        "A web page that may read, beside those on this machine and app.foxglove.dev, such as "
+        "https://viewer.example. May be repeated.",
+        "ORIGIN",
+        shown="none",
+        advanced=True,
+    )
+
     def resolve(self) -> Config:
         """The settings from the config file, if any, overridden by the flags."""
-        if not self.live and "live_port" in self.settings:
+        unused = ["--live-port"] * ("live_port" in self.settings)
+        unused += ["--live-origin"] * bool(self.live_origin)
+        if unused and not self.live:
             raise ConfigError(
-                "The flag --live-port has no effect without --live.", "Add --live, or remove it."
+                f"The flag {unused[0]} has no effect without --live.",
+                "Add --live, or remove it.",
             )
         return super().resolve()
 
@@ -137,7 +149,7 @@ class LiveCommand(SettingsCommand, QuietFlag):
             return
         from g1stream.app.live import live
 
-        with live(config) as address:
+        with live(config, origins=self.live_origin) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"
             print_note(f"Live in Foxglove and Lichtblick: {where}")
             yield

@@ -2,10 +2,10 @@ from math import nan
 
 import pytest
 
-from g1stream.cli.fail_if import FailIf
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError
 from g1stream.extras.report.compare import CONDITION_NAMES
+from g1stream.extras.report.fail_if import FailIf
 
 NAMES = ("rmse", "delay", "p.rmse")
 

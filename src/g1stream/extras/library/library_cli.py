@@ -33,11 +33,11 @@ from g1stream.types import MotionFormat, StreamSupport, Support
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from g1stream.cli.fail_if import FailIf
     from g1stream.config import Config
     from g1stream.extras.library.compute import LibraryCase
     from g1stream.extras.library.run import LibraryRun
     from g1stream.extras.library.table import MotionRow
+    from g1stream.extras.report.fail_if import FailIf
 
 __all__ = ["Library", "swept"]
 
@@ -142,10 +142,10 @@ class Library(SettingsCommand, QuietFlag):
 
     def run(self) -> int:
         """Compute, and return the exit code."""
-        from g1stream.cli.fail_if import FailIf
         from g1stream.extras.library.processes import Limits
         from g1stream.extras.library.run import LibraryRun, run_library
         from g1stream.extras.library.table import CONDITION_NAMES, newest_motions
+        from g1stream.extras.report.fail_if import FailIf
 
         self._check_flags()
         # Checked before the long computation.

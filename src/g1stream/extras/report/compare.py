@@ -21,6 +21,7 @@ from g1stream.analysis.tracking import interpolated
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.errors import RecordingError
+from g1stream.extras.report.fail_if import AS_ASKED
 from g1stream.extras.report.figures import curve
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import difference_tables
@@ -45,10 +46,9 @@ __all__ = [
 ]
 
 _PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
-_AS_ASKED: Final = ("completed", "played", "success")
 CONDITION_NAMES: Final = (
     *NAMED_METRICS,
-    *_AS_ASKED,
+    *AS_ASKED,
     *(f"rmse.{part}" for part in _PARTS),
     *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
 )
@@ -337,7 +337,7 @@ def _as_asked(summary: Summary, found: SuccessMetrics) -> dict[str, Any]:
     values = (False if void else completed), played, found.success
     known = {
         name: None if value is None else float(value)
-        for name, value in zip(_AS_ASKED, values, strict=True)
+        for name, value in zip(AS_ASKED, values, strict=True)
     }
     return {"as_asked": known, "incomplete": incomplete}
 
@@ -345,7 +345,7 @@ def _as_asked(summary: Summary, found: SuccessMetrics) -> dict[str, Any]:
 def _lowest(runs: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
     """The lowest value of each name; without those that are unknown, unless another is below 1."""
     found = {}
-    for name in _AS_ASKED:
+    for name in AS_ASKED:
         known = [value for one in runs if (value := one[name]) is not None]
         if known and (len(known) == len(runs) or min(known) < 1.0):
             found[name] = min(known)

@@ -13,15 +13,17 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+__all__ = ["AS_ASKED", "FailIf"]
+
 _OPERATORS: Final = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _FORM: Final = re.compile(
     r"\s*([\w.]+)\s*([<>]=?)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(\*\s*base)?\s*",
     re.ASCII | re.IGNORECASE,
 )
 
+AS_ASKED: Final = ("completed", "played", "success")
+"""Names of values that are 1 for runs that were played as asked."""
 
-#: Names of values that are 1 for runs that were played as asked.
-_AS_ASKED: Final = ("completed", "played", "success")
 #: Conditions that are tested unless a given one has one of these names.
 _DEFAULT: Final = ("completed < 1", "played < 1")
 
@@ -48,7 +50,7 @@ class FailIf(NamedTuple):
         Otherwise a run that was stopped before its difficult part would pass for its small error.
         """
         given = [cls.parse(text, names, with_base) for text in texts]
-        if not given or any(one.name in _AS_ASKED for one in given):
+        if not given or any(one.name in AS_ASKED for one in given):
             return given
         return [*given, *(cls.parse(text, names)._replace(default=True) for text in _DEFAULT)]
 

@@ -9,6 +9,7 @@ interface needs no such configuration.
 from __future__ import annotations
 
 import os
+import socket
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, field, replace

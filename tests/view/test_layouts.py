@@ -13,7 +13,6 @@ from g1stream.analysis.tracking import worst_joints
 from g1stream.config import Config
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.model import G1
-from g1stream.session.format import CHANNELS
 from g1stream.view.layouts import (
     DEFAULT_JOINTS,
     foxglove_layout,
@@ -107,22 +106,6 @@ def test_every_panel_is_placed_and_every_scene_is_a_topic(decoded):
     }
     assert {name.removeprefix("frame:") for name in robot["transforms"]} == {*frames, "world"}
     assert robot["followTf"] in frames
-
-
-def test_a_policy_has_a_tab_whose_series_are_in_the_channel():
-    layout = foxglove_layout(DEFAULT_JOINTS, policy=True)
-    assert placed(layout) == set(layout["configById"])
-    plotted = {value for value in series(layout) if value.startswith("/policy/terms.")}
-    assert plotted == {
-        *(f"/policy/terms.{name}" for name in ("delay_ms", "state_age_ms", "inference_ms")),
-        *(f"/policy/terms.action.{joint}" for joint in DEFAULT_JOINTS),
-        *(f"/policy/terms.observation.base_ang_vel[{i}]" for i in range(3)),
-    }
-    schema = json.loads(CHANNELS["/policy/terms"].build_schema())["properties"]
-    for value in plotted:
-        first, *inner = value.removeprefix("/policy/terms.").split(".")
-        assert first in schema
-        assert not inner or first == "observation" or inner[0] in schema["action"]["properties"]
 
 
 def test_the_worst_joints_come_first(session):

@@ -26,8 +26,7 @@ _VIEWERS: Final = {
 class Layout(Command):
     """Writes a layout file that shows a session's robot, ghost, worst joints, torques and timing.
 
-    Given a session, it plots the six joints with the largest tracking error, the delays and actions
-    of a learned policy if one played, and the results of `g1stream simulate` if there are any.
+    Given a session, it plots the six joints with the largest tracking error.
 
     Examples:
       g1stream layout lichtblick session.mcap
@@ -57,18 +56,15 @@ class Layout(Command):
         from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
-        policy = simulated = False
         recording = None
         if self.session:
             recording = open_recording(self.session)
             joints = worst_joints(recording, len(joints)) or joints
-            policy = bool(recording.topics.get("/policy/terms"))
-            simulated = bool(recording.topics.get("/simulated/joint_states"))
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:
             robot = recording.robot if recording else None
-            layout = foxglove_layout(joints, robot, policy=policy, simulated=simulated)
+            layout = foxglove_layout(joints, robot)
             content = json.dumps(layout, indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name

@@ -22,7 +22,6 @@ __all__ = [
 
 #: Colours of the reference, of measurements, and of limits.
 _REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
-_SIMULATED: Final = "#ff5fa2"
 #: Colours of `JOINT_GROUPS`.
 _LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
 #: Robots and path in the 3D panel, and whether they are visible initially.
@@ -47,17 +46,12 @@ DEFAULT_JOINTS: Final = (
 def foxglove_layout(
     joints: Sequence[str],
     robot: G1 | None = None,
-    *,
-    policy: bool = False,
-    simulated: bool = False,
 ) -> dict[str, Any]:
     """Make a layout for Foxglove and Lichtblick, as JSON for their import.
 
     Args:
         joints: names of up to six joints to plot.
         robot: robot whose frames are hidden and whose torque limits are drawn; None: the default.
-        policy: also plot the steps of a learned policy.
-        simulated: also plot the results of `g1stream simulate`.
     """
     robot = robot or G1.default()
     panels: dict[str, Any] = {
@@ -105,7 +99,6 @@ def foxglove_layout(
                     _REFERENCE,
                 ),
                 (_joint_path("/measured/joint_states", joint, "position"), "measured", _MEASURED),
-                *_simulated(joint, "position", simulated),
             ],
         )
         panels[torque] = _plot(
@@ -117,7 +110,6 @@ def foxglove_layout(
                     _REFERENCE,
                 ),
                 (_joint_path("/measured/joint_states", joint, "effort"), "estimated", _MEASURED),
-                *_simulated(joint, "effort", simulated),
                 (f"{limit:g}", "limit", _RED),
                 (f"{-limit:g}", "-limit", _RED),
             ],
@@ -128,10 +120,6 @@ def foxglove_layout(
         {"title": "Positions", "layout": _grid(positions)},
         {"title": "Torques", "layout": _grid(torques)},
     ]
-    if policy:
-        of_policy = _policy_panels(joints)
-        panels |= of_policy
-        tabs.append({"title": "Policy", "layout": _rows(list(of_policy))})
     panels["Tab!joints"] = {"activeTabIdx": 0, "tabs": tabs}
     left = _column(("3D!robot", 74), ("StateTransitions!phase", 42), "RosOut!log")
     right = _column(("Tab!joints", 56), ("Plot!limbs", 50), "Plot!timing")
@@ -141,44 +129,6 @@ def foxglove_layout(
         "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 46},
-    }
-
-
-def _simulated(joint: str, field: str, shown: bool) -> list[tuple[str, str, str]]:
-    """The series of a simulated joint, if it is shown."""
-    path = _joint_path("/simulated/joint_states", joint, field)
-    return [(path, "simulated", _SIMULATED)] if shown else []
-
-
-def _policy_panels(joints: Sequence[str]) -> dict[str, Any]:
-    """Panels with the delays and actions of each step of a policy."""
-    colors = (*_LIMB_COLORS, _RED)
-    return {
-        "Plot!policy-delays": _plot(
-            "policy: delays of each step, ms",
-            [
-                ("/policy/terms.delay_ms", "LowState to command", _REFERENCE),
-                ("/policy/terms.state_age_ms", "age of LowState", _MEASURED),
-                ("/policy/terms.inference_ms", "inference", _RED),
-            ],
-            legend=True,
-        ),
-        "Plot!policy-actions": _plot(
-            "policy: actions of the network",
-            [
-                (f"/policy/terms.action.{joint}", short_name(joint), color)
-                for joint, color in zip(joints, colors, strict=False)
-            ],
-            legend=True,
-        ),
-        "Plot!policy-turning": _plot(
-            "policy: base_ang_vel as observed",
-            [
-                (f"/policy/terms.observation.base_ang_vel[{i}]", axis, color)
-                for i, (axis, color) in enumerate(zip("xyz", _LIMB_COLORS, strict=False))
-            ],
-            legend=True,
-        ),
     }
 
 

@@ -442,27 +442,6 @@ class RecordConfig(Table):
     batch: float = setting(
         0.05, "interval at which received samples are processed", "s", gt=0.0, le=0.5
     )
-    split_size: float | None = setting(
-        None,
-        "split the recording into parts of this size (NAME/NAME_0.mcap ...); if unset, one file",
-        "MB",
-        flag=_RECORD,
-        advanced=True,
-        example=1000.0,
-        gt=0.0,
-    )
-    split_duration: float | None = setting(
-        None,
-        "split the recording into parts of this duration; if unset, one file",
-        "s",
-        flag=_RECORD,
-        advanced=True,
-        example=600.0,
-        gt=0.0,
-    )
-    auto_name: bool = setting(
-        False, "add the time (UTC) to the file's name", flag=_RECORD, advanced=True
-    )
 
 
 class SimConfig(Table):

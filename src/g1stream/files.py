@@ -7,7 +7,6 @@ import os
 import shutil
 import stat
 from contextlib import contextmanager, suppress
-from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import ConfigError, RecordingError
@@ -32,7 +31,6 @@ __all__ = [
     "read_file",
     "save_figure",
     "temporary_path",
-    "timestamped",
 ]
 
 _MCAP: Final = b"\x89MCAP"
@@ -86,23 +84,6 @@ def begins_with(path: Path, start: bytes) -> bool:
             return file.read(len(start)) == start
     except OSError:
         return False
-
-
-def timestamped(path: Path, now_ns: int) -> Path:
-    """Add a UTC time to the name of a path, as in `session-20260301T120000Z.mcap`.
-
-    Args:
-        path: path of the file.
-        now_ns: the time, ns since the epoch.
-
-    Raises:
-        RecordingError: the path has no name, such as `.`.
-    """
-    with output_errors(path):
-        if not path.name:
-            raise IsADirectoryError
-    now = datetime.fromtimestamp(now_ns // 1_000_000_000, timezone.utc)
-    return path.with_name(f"{path.stem}-{now:%Y%m%dT%H%M%SZ}{path.suffix}")
 
 
 def check_not_input(path: Path, *sources: Path | None) -> None:

@@ -15,7 +15,6 @@ from g1stream.session.records import (
 )
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import LogEvent, Stream
-from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
@@ -224,16 +223,6 @@ def test_where_the_motion_was_to_begin(play, summarise, start):
     assert summary.termination.start_s == (2.5 if start == 2.5 else 0.0)
 
 
-def test_a_part_that_cannot_be_read(tmp_path):
-    with SessionWriter(tmp_path / "s", split_ns=1) as writer:
-        for time in (T0, T0 + 10**9):
-            writer.write("/lowcmd", LowCmd().seal(), time, time)
-            writer.flush_if_due(time)
-    writer.paths[1].write_bytes(b"")
-    (problem,) = [p for p in open_session(tmp_path / "s").summary().problems if "Part 1" in p]
-    assert str(writer.paths[1]) in problem
-
-
 def test_warnings_that_differ_in_numbers_only_are_one_problem(play, write_session):
     session = open_session(write_session(*play(phases=SHORT), without("stream")))
     events = [("WARNING", "7 late"), ("WARNING", "9 late"), ("ERROR", "the end")]
@@ -292,7 +281,7 @@ def test_a_run_is_summarised_without_reading_its_file(tmp_path):
     path = tmp_path / "s.mcap"
     path.write_bytes(bytes(10))
     recorder = RecorderSummary(
-        paths=[str(path), str(tmp_path / "gone.mcap")],
+        path=str(path),
         first_ns=10,
         last_ns=2_000_000_010,
         counts={"/lowstate": 5, "/tf": 3},

@@ -156,7 +156,7 @@ CASES = {
         settings={"stream.duration": 3.0},
         stream=StreamSummary(commands=0, nominal_rate_hz=500.0, states_received=0, states_lost=0),
     ),
-    "nothing received": Summary(recorder=RecorderSummary(paths=["a.mcap"], removed=True)),
+    "nothing received": Summary(recorder=RecorderSummary(path="a.mcap", removed=True)),
     "a killed stream, a robot without delay": Summary(
         termination=Termination(
             reason="the stream process ended without DAMP",

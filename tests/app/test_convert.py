@@ -14,13 +14,14 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from scipy.spatial.transform import Rotation
 
 from g1stream.app.convert import Conversion, convert
-from g1stream.errors import ConfigError, MotionError, RobotError
+from g1stream.errors import ConfigError, MotionError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import real_g1
 from g1stream.session.format import metadata_from_strings
+from written_sessions import stock_reader
 
 T0 = 1_700_000_000_000_000_000
 JOINTS = "/reference/joint_states"
@@ -82,7 +83,7 @@ def urdf():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
-    [{}, {"flat": True}, {"root_link": "torso_link"}, {"floating_root": False}],
+    [{}, {"flat": True}, {"floating_root": False}],
     ids=str,
 )
 def test_link_poses_match_yourdfpy(motion, urdf, out, options):
@@ -90,7 +91,7 @@ def test_link_poses_match_yourdfpy(motion, urdf, out, options):
     messages = read(out)
     assert {topic: len(found) for topic, found in messages.items()} == report.counts
     assert report.counts == {"/tf": 150, JOINTS: 150, "/scene": 1, "/robot_description": 1}
-    floats, root_link = options.get("floating_root", True), options.get("root_link", "pelvis")
+    floats = options.get("floating_root", True)
     for frame in (0, 127, 128, 149):
         body = messages["/tf"][frame][1]
         assert body.transforms[0].child_frame_id == "pelvis"
@@ -98,7 +99,7 @@ def test_link_poses_match_yourdfpy(motion, urdf, out, options):
         assert (parents == {"world"}) == ("flat" in options)
         urdf.update_cfg(dict(zip(JOINT_NAMES, motion.joint_pos[frame], strict=True)))
         root = root_matrix(motion, frame) if floats else np.eye(4)
-        expected = {link: root @ urdf.get_transform(link, root_link) for link in urdf.link_map}
+        expected = {link: root @ urdf.get_transform(link, "pelvis") for link in urdf.link_map}
         poses = world_poses(body)
         assert poses.keys() == {"world", *expected}
         for link, matrix in expected.items():
@@ -156,11 +157,16 @@ def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out)
     assert all(joint.HasField("acceleration") for joint in bodies[7].joints)
 
 
-def test_world_frame_and_topic(motion, out):
-    convert(motion, out, Conversion(world_frame="map", topic="/clip/tf"))
-    messages = read(out)
-    assert "/tf" not in messages
-    assert messages["/clip/tf"][0][1].transforms[0].parent_frame_id == "map"
+def test_the_transforms_alone(motion, out, tmp_path):
+    """As the tutorial of Foxglove makes them: one topic, and nothing attached."""
+    report = convert(motion, out, Conversion(only_tf=True))
+    assert (report.counts, report.frames) == ({"/tf": 150}, 150)
+    whole = tmp_path / "whole.mcap"
+    convert(motion, whole)
+    alone, all_of_it = read(out), read(whole)
+    assert {*alone} == {"/tf"}
+    assert [m.data for m, _ in alone["/tf"]] == [m.data for m, _ in all_of_it["/tf"]]
+    assert not list(stock_reader(out).iter_attachments())
 
 
 @pytest.mark.slow
@@ -204,9 +210,6 @@ def test_the_same_input_gives_the_same_bytes(out, tmp_path):
         ({"frames": (0, 151)}, MotionError, "150"),
         ({"resample": float("nan")}, MotionError, "nan"),
         ({"frames": (0, 1), "resample": 100.0}, MotionError, "no sample"),
-        ({"root_link": "torsolink"}, RobotError, "'torsolink'.* such as torso_link"),
-        ({"world_frame": "pelvis"}, ConfigError, "'pelvis'"),
-        ({"topic": "/scene"}, ConfigError, "/scene"),
         ({"base_time_ns": 2**63 - 1}, ConfigError, "2116"),
     ],
 )

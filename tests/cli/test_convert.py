@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import g1stream
+from g1stream.session.mcap_reader import McapFile
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]
@@ -133,7 +134,7 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
         ("demo {tmp}/a --to sonic --ros2", "--to"),
         ("demo {tmp}/a.csv --to mjlab", ".npz"),
         ("demo {tmp}/a --to sonic --urdf g1_23dof", "23"),
-        ("demo {tmp}/a.mcap --compression zip", "zstd"),
+        ("demo {tmp}/a.mcap --only joints", "tf"),
     ],
 )
 def test_bad_input_has_a_cause_and_leaves_no_file(convert, tmp_path, arguments, named):
@@ -163,3 +164,17 @@ def test_a_signal_leaves_no_file(tmp_path):
     assert process.returncode == 128 + signal.SIGTERM
     assert "SIGTERM" in told
     assert list(tmp_path.iterdir()) == [motion]
+
+
+def test_a_session_without_flags_is_copied_and_with_flags_its_motion_is_converted(
+    convert, tmp_path
+):
+    session = g1stream.rollout("demo", seconds=0.3)
+    path, copy, motion = (tmp_path / f"{name}.mcap" for name in ("session", "copy", "motion"))
+    session.save(path)
+    assert convert(path, copy).code == 0
+    again = g1stream.open_session(copy)
+    assert again.topics == session.topics
+    assert list(again.messages("/lowstate")) == list(session.messages("/lowstate"))
+    assert convert(path, motion, "--only", "tf").code == 0
+    assert {topic for topic, n in McapFile(motion).counts.items() if n} == {"/tf"}

@@ -62,7 +62,7 @@ def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
         ("stream", ("--feedforward", "torque"), "'velocity'"),
         ("stream", ("--fps", "0"), "--fps cannot be 0"),
         ("stream", ("--speed", "inf"), "--speed cannot be inf"),
-        ("stream", ("--split-size", "5"), "--split-size"),
+        ("stream", ("--meshes",), "--meshes"),
         ("stream", ("--force",), "--force"),
         ("sim", ("--live-port", "9000"), "--live-port"),
         ("sim", ("--live-origin", "https://viewer.example"), "--live-origin"),
@@ -95,9 +95,9 @@ def test_flags_and_arguments_that_do_not_exist_or_are_missing(arguments, cause, 
 
 
 def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign():
-    given = ("--split_size=5", "--scale-time", "--record=-x.mcap", "--start", "0.5")
+    given = ("--scale_time", "--record=-x.mcap", "--rate=250", "--start", "0.5")
     config = resolved("stream", *given)
-    assert config.record.split_size == 5.0
+    assert config.stream.rate == 250.0
     assert config.stream.beyond_limits == "scale-time"
     assert config.stream.start == 0.5
 

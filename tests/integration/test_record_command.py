@@ -82,27 +82,6 @@ def test_two_robots_at_once_are_a_problem(domain_id, running, tmp_path, until):
     assert all(name in problem for name in names)
 
 
-def test_a_split_recording_is_a_directory_of_parts(domain_id, running, tmp_path, until):
-    with (
-        robot(domain_id) as sent,
-        running(
-            "record", tmp_path / "s.mcap", "--domain", domain_id, "--split-duration", 0.5, "--json"
-        ) as process,
-    ):
-        until(lambda: len(sent) > 900, "samples")
-        process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=20)
-    report = json.loads(said)["recorder"]
-    parts = sorted(tmp_path.glob("s/s_*.mcap"))
-    assert report["path"] == str(tmp_path / "s")
-    assert [str(part) for part in parts] == report["paths"]
-    assert len(parts) >= 3
-    recorded = [data for part in parts for data in lowstates(part)]
-    assert len(recorded) == report["counts"]["/lowstate"]
-    first = sent.index(recorded[0])
-    assert recorded == sent[first : first + len(recorded)]
-
-
 def test_a_recording_is_named_by_its_time(domain_id, running, tmp_path, until):
     (tmp_path / "s.mcap").write_bytes(b"precious")
     with (

@@ -1,4 +1,7 @@
+import os
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from g1stream.dds.messages import (
 from g1stream.errors import RecordingError
 from g1stream.session.streams import LogEvent
 from g1stream.session.writer import SessionWriter
+from written_sessions import stock_reader
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000
@@ -162,3 +166,38 @@ def test_the_bytes_come_back_with_their_times(sent, write_session):
         np.testing.assert_array_equal(times[topic].publish_time, T0 + STEP * np.arange(17))
         np.testing.assert_array_equal(times[topic].log_time, times[topic].publish_time + DELAY)
     assert list(session.replay_bytes()) == sent["/lowcmd"]
+
+
+def passes_doctor(path):
+    """Check a file with pymcap-cli."""
+    program = "from sys import exit; from pymcap_cli.cli import main; exit(main())"
+    command = [sys.executable, "-c", program, "doctor", str(path)]
+    result = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stdout
+    assert "passed" in result.stdout
+
+
+@pytest.mark.parametrize("share", [0.35, 0.99])
+def test_a_copy_of_a_cut_file_has_its_index_and_every_message(
+    write_session, make_sample, on_the_wire, tmp_path, share
+):
+    sent = {
+        f"/{topic.name[3:]}": [on_the_wire(make_sample(topic)) for _ in range(40)]
+        for topic in (LOWCMD, LOWSTATE)
+    }
+    path, whole = write_session(*sent.items(), close=False), tmp_path / "whole.mcap"
+    os.truncate(path, int(path.stat().st_size * share))
+    killed = open_session(path)
+    before = {topic: list(killed.messages(topic)) for topic in killed.topics}
+    killed.save(whole)
+    copied = open_session(whole)
+    assert copied.complete
+    assert not copied.closed
+    assert {topic: list(copied.messages(topic)) for topic in copied.topics} == before
+    reader = stock_reader(whole, validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary.statistics.message_count == sum(map(len, before.values()))
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count
+    assert [one.name for one in reader.iter_attachments()] == ["motion.csv"]
+    assert any("did not close the file" in one for one in copied.summary().problems)
+    passes_doctor(whole)

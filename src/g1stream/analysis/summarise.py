@@ -214,10 +214,10 @@ def summarise_run(
 ) -> Summary:
     """The summary of a run from the counters of its programs, without reading a file."""
     recorded = recorder or RecorderSummary()
-    paths = [Path(path) for path in recorded.paths]
+    path = Path(recorded.path)
     steps = sum(step.step_ns for step in recorded.clock_steps)
     summary = Summary(
-        files_bytes={str(path): path.stat().st_size for path in paths if path.is_file()},
+        files_bytes={str(path): path.stat().st_size} if path.is_file() else {},
         first_ns=recorded.first_ns,
         last_ns=recorded.last_ns and recorded.last_ns - steps,
         host=socket.gethostname(),
@@ -325,9 +325,7 @@ def _file_problems(session: Recording) -> Iterator[str]:
             f"{times} motions were played in this session, each with its own PLAY, so there is no "
             "single reference for the tracking. Record each into its own file."
         )
-    for number, reason in session.absent_parts.items():
-        yield f"Part {number} is missing: {reason}"
-    if not (session.closed or session.absent_parts):
+    if not session.closed:
         yield (
             "The recorder did not close the file. It ends with its last complete chunk, and the "
             "number of lost samples is unknown"

@@ -385,11 +385,11 @@ def _lines(facts: Iterable[tuple[str, str]]) -> list[str]:
 
 def _files(summary: Summary) -> str:
     recorder = summary.recorder
-    paths = [*summary.files_bytes] or (recorder.paths if recorder else []) or ["not saved"]
+    paths = [*summary.files_bytes] or [recorder.path if recorder else ""]
     more = f" to {Path(paths[-1]).name}, {len(paths)} files" if len(paths) > 1 else ""
     size = f", {_size(sum(summary.files_bytes.values()))}" if summary.files_bytes else ""
     removed = ", removed: nothing was received" if recorder and recorder.removed else ""
-    return f"{paths[0]}{more}{size}{removed}"
+    return f"{paths[0] or 'not saved'}{more}{size}{removed}"
 
 
 def _recorded(summary: Summary) -> str:

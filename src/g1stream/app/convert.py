@@ -18,12 +18,11 @@ from g1stream.input_limits import LATEST_NS
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import missing_meshes, robot_with_meshes
-from g1stream.session.format import CHANNELS, Channel, encode_string
+from g1stream.session.format import encode_string
 from g1stream.session.records import MotionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
 from g1stream.view.encoders import (
     IDENTITY_POSE,
-    WORLD_FRAME,
     JointStatesTemplate,
     TransformsEncoder,
 )
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from g1stream.motion.motion import Motion
-    from g1stream.session.mcap_writer import Compression
     from g1stream.types import Ints
 
 __all__ = ["Conversion", "ConvertReport", "convert", "frame_timestamps", "parse_time"]
@@ -69,12 +67,9 @@ class Conversion:
         resample: rate at which to sample the spline through the frames, Hz; None writes the frames
             themselves.
         floating_root: False fixes the root link at the world's origin.
-        root_link: the link whose pose the motion contains; the URDF's root link if None.
-        world_frame: name of the world frame.
         flat: make every link a child of the world instead of its parent link.
-        topic: topic of the transforms.
+        only_tf: write the transforms alone: no joint states, scene, URDF or attached motion.
         meshes: show the URDF's meshes, simplified, or the real G1's (extra `meshes`).
-        compression: compression of the file's chunks.
         force: replace an existing file.
     """
 
@@ -82,12 +77,9 @@ class Conversion:
     frames: tuple[int | None, int | None] = (None, None)
     resample: float | None = None
     floating_root: bool = True
-    root_link: str | None = None
-    world_frame: str = WORLD_FRAME
     flat: bool = False
-    topic: str = _TF
+    only_tf: bool = False
     meshes: bool = False
-    compression: Compression = "zstd"
     force: bool = False
 
 
@@ -157,23 +149,22 @@ def convert(
         motion = replace(motion, fps=fps)
     start, stop = _frame_range(motion, options.frames)
     first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
-    transforms = TransformsEncoder(
-        robot, root_link=options.root_link, world=options.world_frame, flat=options.flat
-    )
+    transforms = TransformsEncoder(robot, flat=options.flat)
     fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
     check_not_input(out, motion.source, Path(robot.source))
-    channels = _channels(options.topic)
     with (
         complete_file(out, force=options.force) as temporary,
-        SessionWriter(temporary, channels=channels, compression=options.compression) as writer,
+        SessionWriter(temporary) as writer,
     ):
         _write_file_header(writer, motion, robot, options, first)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
             root = (root_pos, root_quat) if options.floating_root else IDENTITY_POSE
             poses = transforms.encode(times, joint_pos, *root)
-            writer.write_batch(options.topic, poses, times, times)
-            writer.write_batch(_JOINTS, joint_states.encode(times, joint_pos, *rates), times, times)
+            writer.write_batch(_TF, poses, times, times)
+            if not options.only_tf:
+                joints = joint_states.encode(times, joint_pos, *rates)
+                writer.write_batch(_JOINTS, joints, times, times)
             writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
     warnings = motion.warnings
@@ -186,7 +177,7 @@ def convert(
         path=out,
         size=out.stat().st_size,
         motion=motion.name,
-        frames=writer.counts[_JOINTS],
+        frames=writer.counts[_TF],
         rate=options.resample or motion.fps,
         start_ns=first,
         end_ns=last,
@@ -238,6 +229,8 @@ def _write_file_header(
 ) -> None:
     """Write the file's metadata, attachments, scene and URDF."""
     writer.add_metadata(_metadata(motion, robot, options))
+    if options.only_tf:
+        return
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, MotionInfo.from_motion(motion), first)
     if options.meshes:
@@ -249,20 +242,9 @@ def _write_file_header(
     writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
 
 
-def _channels(topic: str) -> dict[str, Channel]:
-    """The channels of the file, by topic, with the transforms on the given topic."""
-    if not topic or topic in (_JOINTS, _SCENE, _DESCRIPTION):
-        raise ConfigError(
-            f"The transforms cannot use the topic {topic!r}: "
-            f"{'it has no name' if not topic else 'it is used for other messages'}.",
-            f"Choose another, such as {_TF}.",
-        )
-    return {**CHANNELS, topic: replace(CHANNELS[_TF], topic=topic)}
-
-
 def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
     """The motion and options of the conversion; equal for equal input on every machine."""
-    how = {k: v for k, v in vars(options).items() if k not in ("force", "compression")}
+    how = {k: v for k, v in vars(options).items() if k != "force"}
     return {
         "g1stream": __version__,
         "made_by": "g1stream convert",

@@ -51,8 +51,7 @@ def demo(
     _check_local_only(config.dds.interface)
     session_path, figure_path = out / SESSION, out / FIGURE
     if not force:
-        named_anew = config.record.auto_name  # the recorder adds the time to the name
-        check_absent(*([] if named_anew else [session_path]), figure_path)
+        check_absent(session_path, figure_path)
     config = _with_free_domain(config)
     made = not out.exists()
     with output_errors(out):
@@ -78,7 +77,7 @@ def demo(
     recorder = played.recorder
     if not (played.stream and played.stream.commands and recorder) or recorder.removed:
         return played
-    session = open_session(recorder.path)  # its name may contain the time
+    session = open_session(recorder.path)
     draw(session, figure_path)
     return session.summary()
 

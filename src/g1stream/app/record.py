@@ -6,7 +6,7 @@ import logging
 import socket
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -21,13 +21,11 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.messages import COMMANDS, POLICY, REFERENCE
 from g1stream.errors import RecordingError
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.files import timestamped
 from g1stream.realtime import lower_priority
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
-from g1stream.session.parts import remove_recording
 from g1stream.session.records import RecorderSummary, SessionInfo
 from g1stream.session.writer import SessionWriter, attach_motion, attach_policy
 from g1stream.view.pipeline import MessagePipeline
@@ -60,8 +58,7 @@ def record(
         config: all settings; the defaults if omitted.
         force: replace an existing file.
         session: motion that a stream is about to play, for the metadata. The recorder then calls
-            `on_ready` only after it is matched with the stream, and `record.auto_name` has no
-            effect on `path`.
+            `on_ready` only after it is matched with the stream.
         should_stop: called several times per second; True ends the recording.
         on_ready: called when no message published from then on can be missed.
         on_recorder: called with the recorder before it runs, to display it.
@@ -78,15 +75,18 @@ def record(
     """
     config = config or Config()
     settings, robot = config.record, G1.of_config(config)
-    path = Path(path)
-    if settings.auto_name and session is None:
-        path = timestamped(path, time.time_ns())
     # Before the file is created, because this may raise.
     pipeline = MessagePipeline(robot, settings, session.policy if session else None)
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
-    size, duration = settings.split_size, settings.split_duration
 
-    def write_file_header(writer: SessionWriter) -> None:
+    with ExitStack() as stack:
+        receiver = stack.enter_context(Receiver(config))
+        participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
+        if not session:  # with a session, the stream publishes it
+            stack.enter_context(publishing_for_ros2(config, should_stop))
+        writer = SessionWriter(path, force=force)
+        stack.callback(_remove_if_empty, writer)
+        stack.enter_context(writer)
         writer.add_metadata(about)
         writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
         writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
@@ -94,21 +94,7 @@ def record(
         attach_motion(writer, session.motion if session else None, now)
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
-
-    with ExitStack() as stack:
-        receiver = stack.enter_context(Receiver(config))
-        participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
-        if not session:  # with a session, the stream publishes it
-            stack.enter_context(publishing_for_ros2(config, should_stop))
-        writer = SessionWriter(
-            path,
-            force=force,
-            split_bytes=None if size is None else round(size * 1e6),
-            split_ns=None if duration is None else round(duration * 1e9),
-            file_header=write_file_header,
-        )
-        stack.callback(_remove_if_empty, writer)
-        stack.enter_context(writer)
+        writer.flush()
         recorder = Recorder(receiver, participant, writer, pipeline, settings.batch)
         on_recorder(recorder)
         awaited = []
@@ -130,8 +116,9 @@ def _has_samples(writer: SessionWriter) -> bool:
 
 def _remove_if_empty(writer: SessionWriter) -> None:
     """Remove a closed recording without samples, so that it does not block the next one."""
-    if writer.paths and not _has_samples(writer):  # otherwise the path is an older recording's
-        remove_recording(writer.path)
+    if writer.exists and not _has_samples(writer):  # otherwise the path is an older recording's
+        with suppress(OSError):
+            writer.path.unlink()
 
 
 def _close(
@@ -146,7 +133,6 @@ def _close(
         values = {**final, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
         writer.add_metadata(values)
         writer.close()
-        report.paths = [str(path) for path in writer.paths]
     except RecordingError as error:
         report.stopped = report.stopped or error.cause
     report.removed = not _has_samples(writer)

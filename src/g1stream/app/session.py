@@ -14,9 +14,8 @@ from g1stream.files import begins_with, complete_file, output_errors
 from g1stream.optional import extension, import_extra
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
-from g1stream.session.parts import parts_of
 from g1stream.session.recording import Recording, has_essentials
-from g1stream.session.source import SessionFiles
+from g1stream.session.source import SessionFiles, files_of
 from g1stream.session.streams import STREAMS, PolicyStream
 from g1stream.session.writer import SessionWriter
 
@@ -46,7 +45,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session or a log of another program. It also opens files of killed recorders.
 
     Args:
-        path: session file, directory of a split recording, or log; `docs/anyones-session.md` lists
+        path: session file, bag, or log; `docs/anyones-session.md` lists
             the supported logs.
 
     Raises:
@@ -55,7 +54,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     """
     path = Path(path)
     foreign = path.suffix.lower() == ".csv" or any(
-        begins_with(parts_of(path)[0], magic) for magic in _BAGS
+        begins_with(files_of(path)[0], magic) for magic in _BAGS
     )
     source = None if foreign else SessionFiles(path)
     if source and (has_essentials(source.topics) or not source.has_joint_states):
@@ -235,6 +234,8 @@ class Session(Recording):
             first[topic] = Batch([newest.data], [start], [newest.publish_time])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
             writer.add_metadata(self.metadata)
+            if not self.closed:  # else nothing would show that its end is lost
+                writer.add_metadata({"repaired": True})
             for name, data in self.attachments.items():
                 media_type = guess_type(name)[0] or "application/octet-stream"
                 writer.attach(name, media_type, data, self.start_ns)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.app.arming import confirm_arming, require_arming
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
-from g1stream.config import Config, RecordConfig
+from g1stream.config import Config
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
 from g1stream.control.wire_settings import for_wire
@@ -22,10 +21,9 @@ from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
-from g1stream.files import timestamped
+from g1stream.files import check_output_path
 from g1stream.network import is_local_only
 from g1stream.realtime import describe, on_time
-from g1stream.session.parts import check_recording_path
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
@@ -82,7 +80,9 @@ def stream(
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
-    path = None if record is None else _recording_path(Path(record), config.record, force)
+    path = None if record is None else Path(record)
+    if path:
+        check_output_path(path, force=force)
     config, clock = for_wire(config), SystemClock()
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
@@ -227,21 +227,10 @@ class _RecorderChild:
                 final, abandoned=lambda: self._loop.stop_requests > requests
             )
         except ChildError as error:
-            path = str(self._path)
-            return RecorderSummary(path=path, paths=[path], stopped=self._failure or error.cause)
-        gone = [path for path in summary.paths if not Path(path).exists()]
-        if gone and not summary.removed:
-            summary.stopped = summary.stopped or f"{gone[0]} no longer exists."
+            return RecorderSummary(path=str(self._path), stopped=self._failure or error.cause)
+        if not (summary.removed or Path(summary.path).exists()):
+            summary.stopped = summary.stopped or f"{summary.path} no longer exists."
         return summary
-
-
-def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
-    """The path to record to. It raises, before anything is started, if that is not possible."""
-    if settings.auto_name:
-        path = timestamped(path, time.time_ns())
-    split = settings.split_size is not None or settings.split_duration is not None
-    check_recording_path(path, split=split, force=force)
-    return path
 
 
 def _rehearse(motion: Motion, config: Config) -> None:

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 
 #: Flags that --ros2 and motion file outputs do not accept, except the motion's own flags.
-_OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
+_OF_ROS2: Final = {"files", "ros2", "force", "json"}
+_OF_COPY: Final = {"files", "force", "json"}
 _OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
 _OF_FORMAT: Final = {"files", "to", "velocities", "frames", "urdf", "force", "json"}
 
@@ -57,6 +58,9 @@ class Convert(MotionPartFlags, QuietFlag):
     NPZ training files for beyondmimic, mjlab and holosoma, a directory for sonic, a CSV for lafan1
     and a pickle for gmr. docs/formats.md describes them.
 
+    A session and an output in .mcap, without flags, are a copy of the session, with the index that
+    the recorder did not write if it was killed. Viewers such as Rerun need the index.
+
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has ROS messages only.
 
@@ -67,6 +71,7 @@ class Convert(MotionPartFlags, QuietFlag):
       g1stream convert wave.csv dance.npz both.npz --blend 1
       g1stream convert dance.csv motion.npz --to mjlab
       g1stream convert dance.csv reference/dance --to sonic
+      g1stream convert killed.mcap whole.mcap
       g1stream convert session.mcap session_ros2 --ros2
 
     Exit codes:
@@ -113,26 +118,20 @@ class Convert(MotionPartFlags, QuietFlag):
         gt=0,
     )
     no_floating_root: bool = flag(False, "Fix the root link at the world's origin.", advanced=True)
-    root_link: str | None = flag(
-        None,
-        "The link whose pose the motion file contains.",
-        "LINK",
-        shown="the URDF's root",
-        advanced=True,
-    )
-    world_frame: str = flag("world", "Name of the world frame.", "NAME", advanced=True)
     flat: bool = flag(
         False, "Make every link a child of the world instead of its parent link.", advanced=True
     )
     urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
-    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC", advanced=True)
+    only: Literal["tf"] | None = flag(
+        None,
+        "Write the transforms alone: no joint states, scene, URDF or attached motion.",
+        shown="all of them",
+        advanced=True,
+    )
     meshes: bool = flag(
         False,
         "Show the URDF's meshes, simplified, or the real G1's (extra `meshes`).",
         advanced=True,
-    )
-    compression: Literal["zstd", "lz4", "none"] = flag(
-        "zstd", "Compression of the file.", advanced=True
     )
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
@@ -183,12 +182,15 @@ class Convert(MotionPartFlags, QuietFlag):
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
 
     def _require(self, flags: set[str], what: str) -> None:
-        other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]
-        given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
-        if given:
+        if given := self._given(flags):
             raise ConfigError(
                 f"{flag_name(given[0])} cannot be combined with {what}.", "Remove one of the two."
             )
+
+    def _given(self, flags: set[str]) -> list[str]:
+        """The flags that were given, other than these."""
+        other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]
+        return [name for name in other if getattr(self, name) != getattr(type(self), name)]
 
     def _motion(self, robot: G1 | None = None) -> Motion:
         """The joined motions, cut to the frames of --frames."""
@@ -224,7 +226,7 @@ class Convert(MotionPartFlags, QuietFlag):
                     raise _StoppedError(stopped[0])
                 progress("converted", fraction)
 
-            make = self._session_file
+            make = self._copy if self._copies() else self._session_file
             if self.ros2 or self.to:
                 make = self._ros2_bag if self.ros2 else self._file_of_format
             about, text, warnings = make(on_progress)
@@ -235,6 +237,31 @@ class Convert(MotionPartFlags, QuietFlag):
             print_lines(text)
         return EXIT_OK
 
+    def _copies(self) -> bool:
+        """Whether the only input is a session of ours, and nothing is asked of its motion."""
+        session = Path(self.motions[0])
+        plain = self.out.suffix.lower() == ".mcap" and not self._given(_OF_COPY)
+        if not (plain and len(self.motions) == 1 and is_session(session)):
+            return False
+        from g1stream.session.motions import is_of_g1stream
+
+        return is_of_g1stream(session)
+
+    def _copy(
+        self, on_progress: Callable[[float], None]
+    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+        from g1stream.app.session import open_session
+
+        session = open_session(self.motions[0])
+        session.save(self.out, force=self.force)
+        messages, size = sum(session.topics.values()), self.out.stat().st_size
+        on_progress(1.0)
+        about = {"path": str(self.out), "messages": messages, "size": size}
+        text = f"{self.out}: {counted(messages, 'message')}, {size / 1e6:.1f} MB"
+        lost = counted(session.unread, "byte")
+        end = (f"the last {lost} are an incomplete record and were left out",)
+        return about, text, end if session.unread else ()
+
     def _ros2_bag(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
@@ -242,7 +269,6 @@ class Convert(MotionPartFlags, QuietFlag):
             Path(self.motions[0]),
             self.out,
             force=self.force,
-            compression=self.compression,
             on_progress=on_progress,
         )
         text = (
@@ -287,12 +313,9 @@ class Convert(MotionPartFlags, QuietFlag):
             frames=_frames(self.frames),
             resample=self.resample,
             floating_root=not self.no_floating_root,
-            root_link=self.root_link,
-            world_frame=self.world_frame,
             flat=self.flat,
-            topic=self.topic,
+            only_tf=self.only == "tf",
             meshes=self.meshes,
-            compression=self.compression,
             force=self.force,
         )
         robot = G1.load(self.urdf)

@@ -25,7 +25,7 @@ class Info(SessionFlags):
       2  bad input: not a session file
     """
 
-    file: Path = argument("The session file, or the directory of a split recording.", "SESSION")
+    file: Path = argument("The session file.", "SESSION")
     json: bool = flag(False, "Print the summary as JSON.")
 
     def run(self) -> int:

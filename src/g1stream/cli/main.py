@@ -79,7 +79,6 @@ COMMANDS: Final = {
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "repair": ("cli.repair:Repair", "Add the index to a session whose recorder was killed."),
         "layout": ("cli.layout:Layout", "Write a viewer layout for sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
         "policy": (

@@ -24,7 +24,7 @@ class Plot(SessionFlags, QuietFlag):
       2  bad input: not a session file, nothing to plot, unknown joint
     """  # noqa: D205
 
-    session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
+    session: Path = argument("The session file.", "SESSION")
     joints: str | None = flag(
         None, "Joints, limbs or patterns, such as arms,waist_yaw,'left_*'.", "LIST", shown="all"
     )

@@ -33,7 +33,7 @@ class Render(SessionFlags, QuietFlag):
       2  bad input: not a session file, nothing to show, no OpenGL
     """  # noqa: D205
 
-    session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
+    session: Path = argument("The session file.", "SESSION")
     out: Path = argument("The file to write: .mp4, .gif, or .png for one frame.", "OUT")
     start: float | None = flag(
         None, "Time of the first frame on the motion's clock.", "SECONDS", shown="of the session"

@@ -281,7 +281,7 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
         wire = inspect_domain(domain, interface, host.interfaces, seconds)
     except WireError as error:
         join_error = error.cause
-    robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
+    robots = G1.of_config(config).joint_set.allowed(config.safety.mode_machine)
     via = config.stream.via
     of_ros = None if "domain" in config.dds.model_fields_set else ros_domain()
     known = Facts(domain, interface, robots, host, wire, join_error, latency, via, of_ros)

@@ -372,7 +372,6 @@ class Recorder:
         report.measured_tf = base.summary() if base else None
         report.warnings = self._warnings.texts(self._last_command)
         report.path = str(self._writer.path)
-        report.paths = [str(path) for path in self._writer.paths]
         for name, delays in self._delays.items():
             publishers, median = self._publishers[name], int(np.median(delays))
             report.delays[CHANNEL_OF[name]] = TopicDelay(

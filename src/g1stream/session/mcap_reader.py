@@ -449,7 +449,7 @@ def open_mcap(path: Path) -> IO[bytes]:
     except FileNotFoundError as error:
         raise RecordingError(
             f"There is no session file {path}.",
-            "Give the path of a session file, or the directory of a split recording.",
+            "Give the path of a session file.",
         ) from error
     except OSError as error:
         raise RecordingError(

@@ -15,7 +15,7 @@ import pickle
 from collections import Counter
 from contextlib import contextmanager, suppress
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, IndexType, Writer
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from g1stream.session.format import Channel, MessageBatch
     from g1stream.session.mcap_reader import ChannelInfo
 
-__all__ = ["Compression", "McapWriter", "OutputFile", "max_size"]
+__all__ = ["McapWriter", "OutputFile", "max_size"]
 
-Compression = Literal["zstd", "lz4", "none"]
 
 #: Space reserved for the end of the file: schemas, statistics, and the index of one chunk.
 _SUMMARY_BYTES: Final = 1 << 16
@@ -144,7 +143,6 @@ class McapWriter:
     Args:
         path: path of the file; its directory must exist.
         channels: channels that may be written, by topic.
-        compression: compression of the chunks.
         profile: profile of the file; if None, `ros2` if all channels are CDR, as in rosbag2.
 
     Attributes:
@@ -159,7 +157,6 @@ class McapWriter:
         path: Path,
         channels: Mapping[str, Channel | ChannelInfo],
         *,
-        compression: Compression = "zstd",
         profile: str | None = None,
     ) -> None:
         self.path = self.place = path
@@ -170,7 +167,6 @@ class McapWriter:
         self._channel_ids: dict[str, int] = {}
         self._schema_ids: dict[tuple[str, bytes], int] = {}
         self._n_chunks = self._n_metadata = 0
-        self._compression = CompressionType[compression.upper()]
         with output_errors(path):
             self._file = OutputFile(path)
             try:
@@ -281,7 +277,7 @@ class McapWriter:
         writer = Writer(
             self._file,  # type: ignore[arg-type]  # it calls write, tell and flush only
             chunk_size=1 << 40,  # never reached, because chunks end with `flush`
-            compression=self._compression,
+            compression=CompressionType.ZSTD,
             index_types=IndexType.ALL if summary else IndexType.NONE,
             repeat_channels=summary,
             repeat_schemas=summary,

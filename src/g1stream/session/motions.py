@@ -16,10 +16,9 @@ from g1stream.optional import extension
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.session.mcap_reader import McapFile
-from g1stream.session.parts import parts_of
 from g1stream.session.recording import open_recording
 from g1stream.session.records import MotionInfo, read_record
-from g1stream.session.source import JOINT_STATES
+from g1stream.session.source import JOINT_STATES, files_of
 from g1stream.session.streams import MAX_GAP_NS, STREAMS, ReferenceStream
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
@@ -70,7 +69,7 @@ def is_of_g1stream(path: Path) -> bool:
     Raises:
         RecordingError: it is damaged.
     """
-    parts = parts_of(path)
+    parts = files_of(path)
     if not is_session(parts[0]):  # SQLite, or compressed as a whole
         return False
     files = [McapFile(part) for part in parts]

@@ -103,7 +103,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     """Open a session file, also one whose recorder was killed, without analysis.
 
     Args:
-        path: of a session file, or of the directory of a split recording.
+        path: of a session file.
 
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
@@ -124,7 +124,6 @@ class Recording:
         source: as given.
         path: path of the file or directory; for a session in memory only a name.
         paths: paths of the file or its parts, oldest first; empty in memory.
-        absent_parts: reason, a sentence, by the number of each missing or unreadable part.
         complete: whether all files exist and were closed properly.
         unread: bytes at the ends of files that are incomplete records, as after a power failure.
         topics: number of messages by topic, in the whole session.
@@ -139,7 +138,6 @@ class Recording:
         self.source = source
         self.path = source.path
         self.paths = source.paths
-        self.absent_parts = source.absent_parts
         self.complete = source.complete
         self.unread = source.unread
         self.topics = source.topics

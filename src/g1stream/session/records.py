@@ -548,9 +548,8 @@ class RecorderSummary(Record):
     """Contents of a recording, and losses. Topics are those of the file.
 
     Attributes:
-        path: the file, or the directory of its parts.
-        paths: the files.
-        removed: whether they were removed, because nothing was received.
+        path: the file.
+        removed: whether it was removed, because nothing was received.
         first_ns, last_ns: log times of the first and the last sample, since the epoch.
         counts: number of messages by topic.
         absent: DDS topics without a publisher.
@@ -569,7 +568,6 @@ class RecorderSummary(Record):
     """
 
     path: str = ""
-    paths: list[str] = []
     removed: bool = False
     first_ns: Int | None = None
     last_ns: Int | None = None

@@ -13,15 +13,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
 from g1stream.errors import RecordingError
+from g1stream.files import read_file
+from g1stream.input_limits import SETTINGS_FILE
 from g1stream.session.format import CHANNELS, metadata_from_strings, metadata_to_strings
 from g1stream.session.mcap_reader import McapFile, Messages
-from g1stream.session.parts import parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,13 +31,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "JOINT_STATES",
+    "METADATA_YAML",
     "ExtendedSource",
     "FilesSource",
     "MemorySource",
     "RecordingFile",
     "SessionFiles",
     "SessionSource",
+    "files_of",
 ]
+
+METADATA_YAML: Final = "metadata.yaml"
+"""The file that makes a directory a bag of ROS 2."""
 
 
 JOINT_STATES: Final = {
@@ -44,6 +50,40 @@ JOINT_STATES: Final = {
     ("sensor_msgs/msg/JointState", "cdr"),
 }
 """Types and encodings of the joint states that other programs record."""
+
+
+def files_of(path: Path) -> list[Path]:
+    """A file itself, or the files that metadata.yaml lists in the directory of a bag.
+
+    Raises:
+        RecordingError: the directory has no metadata.yaml, or it cannot be read.
+    """
+    try:
+        is_directory = path.is_dir()
+    except OSError:  # opening the file gives the reason
+        is_directory = False
+    if not is_directory:
+        return [path]
+    import yaml
+
+    try:
+        text = read_file(path / METADATA_YAML, SETTINGS_FILE).decode("utf-8")
+        about: dict[str, Any] = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        # The files are in the directory itself, whatever the paths say.
+        names = [PurePath(name).name for name in about["relative_file_paths"]]
+        if not names or not all(names):
+            raise ValueError("it lists no files")
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{path} is a directory without {METADATA_YAML}.",
+            "Give an MCAP file, or the directory of a bag.",
+        ) from error
+    except Exception as error:  # a YAML file may fail in many ways
+        raise RecordingError(
+            f"{path / METADATA_YAML} cannot be read: {getattr(error, 'strerror', None) or error}.",
+            "Give one of the files in the directory instead.",
+        ) from error
+    return [path / name for name in names]
 
 
 class RecordingFile(Protocol):
@@ -74,10 +114,8 @@ class SessionSource(ABC):
         paths: the files that it was read from, oldest first; empty in memory.
         topics: number of messages by topic.
         metadata: the values of all metadata records; a later one replaces an earlier one.
-        complete: whether all parts exist and were closed properly.
+        complete: whether its recorder closed it.
         unread: bytes at the ends of files that are incomplete records.
-        absent_parts: reason, a sentence, by the number of each part that is missing or cannot be
-            read, as in its name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -87,7 +125,6 @@ class SessionSource(ABC):
         self.metadata: dict[str, Any] = {}
         self.complete = True
         self.unread = 0
-        self.absent_parts: dict[int, str] = {}
 
     @abstractmethod
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
@@ -154,7 +191,7 @@ class SessionFiles(FilesSource):
     """The files of a session, read as one.
 
     Args:
-        path: an MCAP file, or the directory of a split recording.
+        path: an MCAP file, or the directory of a bag of ROS 2.
 
     Raises:
         RecordingError: the path is not a session, or nothing in it can be read.
@@ -162,18 +199,9 @@ class SessionFiles(FilesSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._files: list[McapFile] = []
-        errors: dict[int, RecordingError] = {}
-        for number, part in enumerate(parts_of(path)):
-            try:
-                self._files.append(McapFile(part))
-            except RecordingError as error:  # noqa: PERF203
-                errors[number] = error
-        if not self._files:
-            raise errors[0]
-        self.absent_parts = {number: error.cause for number, error in errors.items()}
+        self._files = [McapFile(one) for one in files_of(path)]
         self.paths = [file.path for file in self._files]
-        self.complete = not self.absent_parts and all(file.complete for file in self._files)
+        self.complete = all(file.complete for file in self._files)
         self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
@@ -257,7 +285,6 @@ class ExtendedSource(SessionSource):
         super().__init__(source.path)
         self._source, self._added = source, added
         self.paths, self.complete, self.unread = source.paths, source.complete, source.unread
-        self.absent_parts = source.absent_parts
         self.topics = source.topics | added.topics
         self.metadata = source.metadata | added.metadata
 

@@ -1,4 +1,4 @@
-"""Writes a session while it is recorded, to one file or to a directory of parts.
+"""Writes a session while it is recorded.
 
 Messages are buffered for a quarter of a second of log time and then written as a chunk for each
 topic. A killed program loses at most that time.
@@ -8,33 +8,21 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.errors import RecordingError
-from g1stream.files import is_session, output_errors, temporary_path
+from g1stream.files import check_output_path, is_session, output_errors, temporary_path
 from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.session.mcap_writer import McapWriter, max_size
-from g1stream.session.parts import (
-    Part,
-    check_recording_path,
-    part_path,
-    parts_directory,
-    remove_recording,
-    replace_recording,
-    write_metadata_yaml,
-)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.session.format import Channel
-    from g1stream.session.mcap_writer import Compression
     from g1stream.session.records import MotionInfo, PolicyInfo
     from g1stream.session.source import MemorySource
 
@@ -56,18 +44,15 @@ class SessionWriter:
     index.
 
     Args:
-        path: path of the file; its directory must exist. Parts go to a directory named after it.
-        force: replace an existing file, or a directory that g1stream recorded.
-        split_bytes: size at which a part ends, without the file header that every part has.
-        split_ns: log time after which a part ends. Without both there is one file.
-        file_header: called at the start of each file to write the content of every part.
+        path: path of the file; its directory must exist.
+        force: replace an existing file.
         channels: channels that may be written, by topic.
-        compression: compression of the chunks.
 
     Attributes:
-        path: the file, or the directory of the parts.
-        paths: the written files, oldest first.
-        counts: number of messages in all parts by topic, including buffered ones.
+        path: the file.
+        exists: whether it is at its path; an old recording is kept there until the first sample.
+        counts: number of messages by topic, including buffered ones.
+        log_times: first and last log time of the written messages, ns; None without messages.
 
     Raises:
         RecordingError: something exists that may not be replaced. Every method raises it if
@@ -79,42 +64,33 @@ class SessionWriter:
         path: str | Path,
         *,
         force: bool = False,
-        split_bytes: int | None = None,
-        split_ns: int | None = None,
-        file_header: Callable[[SessionWriter], None] = lambda _: None,
         channels: Mapping[str, Channel] = CHANNELS,
-        compression: Compression = "zstd",
     ) -> None:
-        self._split_bytes, self._split_ns = split_bytes, split_ns
-        self._split = split_bytes is not None or split_ns is not None
-        self._file_header = file_header
         self._channels = channels
-        self._compression = compression
         self._pending: dict[str, list[MessageBatch]] = {}
         self._pending_bytes = 0
         self._chunk_start: int | None = None
-        self._part_start: int | None = None
-        self._parts: list[Part] = []
         self._closed = False
         self.counts: dict[str, int] = {}
-        self.path = parts_directory(Path(path)) if self._split else Path(path)
-        check_recording_path(Path(path), split=self._split, force=force)
-        self.paths = [part_path(self.path, 0) if self._split else self.path]
+        self.path = Path(path)
+        check_output_path(self.path, force=force)
         # An old recording is kept until the first sample of the new one is written.
         self._replaces = os.path.lexists(self.path)
         self._place = temporary_path(self.path) if self._replaces else self.path
         try:
-            if self._split:
-                with output_errors(self.path):
-                    self._place.mkdir()
-                self._open_file(self._place / self.paths[0].name)
-                self._write_metadata_yaml()
-            else:
-                self._open_file(self._place)
+            self._file = McapWriter(self._place, channels)
         except BaseException:
-            remove_recording(self._place)
+            self._place.unlink(missing_ok=True)
             raise
-        self._file.path = self.paths[0]
+        self._file.path = self.path
+
+    @property
+    def exists(self) -> bool:
+        return not self._replaces
+
+    @property
+    def log_times(self) -> tuple[int | None, int | None]:
+        return self._file.first_log_time, self._file.last_log_time
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -188,24 +164,19 @@ class SessionWriter:
         self._file.add_metadata(values)
 
     def flush_if_due(self, now_ns: int) -> None:
-        """Write the chunks that are due, and start the next part if this one is full.
+        """Write the chunks that are due.
 
         Args:
             now_ns: current time on the clock of the log times, ns since the epoch.
         """
         if self._is_due(now_ns):
             self.flush()
-        if self._part_start is None:
-            self._part_start = now_ns
-        if self._is_part_full(now_ns) and not self._replaces:
-            self._start_next_part()
-            self._part_start = now_ns
 
     def flush(self, *, last: bool = False) -> None:
         """Write the buffered messages. Those that do not fit on the disk are dropped.
 
         Args:
-            last: whether this may use the space that is reserved for the end of a file.
+            last: whether this may use the space that is reserved for the end of the file.
         """
         pending, self._pending = self._pending, {}
         self._pending_bytes, self._chunk_start = 0, None
@@ -225,7 +196,7 @@ class SessionWriter:
         """Write the buffered messages and the index, and close the file. It may be called again.
 
         If that fails, the file is readable up to its last whole chunk. A recording without samples
-        does not replace an old one: it is removed, and `paths` is empty.
+        does not replace an old one: it is removed.
         """
         if self._closed:
             return
@@ -235,67 +206,17 @@ class SessionWriter:
         finally:
             self._file.close()
             if self._replaces:
-                remove_recording(self._place)
-                self.paths = []
-            elif self._split:
-                with suppress(RecordingError):  # the one written with the last part lists all parts
-                    self._write_metadata_yaml()
-
-    def part(self) -> Part:
-        """The current file, as metadata.yaml lists it."""
-        file = self._file
-        return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
+                self._place.unlink(missing_ok=True)
 
     def _replace(self) -> None:
-        replace_recording(self._place, self.path)
+        with output_errors(self.path):
+            self._place.replace(self.path)
         self._place, self._replaces = self.path, False
-        self._file.place = self.paths[0]
+        self._file.place = self.path
 
     def _is_due(self, now_ns: int) -> bool:
         # The absolute difference, because a clock may be set back.
         return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= _CHUNK_NS
-
-    def _is_part_full(self, now_ns: int) -> bool:
-        size, elapsed = self._file.size - self._header_size, abs(now_ns - (self._part_start or 0))
-        return (self._split_bytes is not None and size >= self._split_bytes) or (
-            self._split_ns is not None and elapsed >= self._split_ns
-        )
-
-    def _open_file(self, path: Path) -> None:
-        """Start a file with the content of every part; it is then the current file."""
-        file = McapWriter(path, self._channels, compression=self._compression)
-        self._file = file
-        try:
-            if self._split:
-                file.add_metadata({"part": len(self._parts)})
-            self._file_header(self)
-            self.flush()
-        except BaseException:
-            with suppress(RecordingError):
-                file.close()
-            raise
-        self._header_size = file.size
-
-    def _start_next_part(self) -> None:
-        """Continue in a new file. If it cannot be started, the current one stays in use."""
-        self.flush()
-        full, counts = self._file, dict(self.counts)
-        path = part_path(self.path, len(self.paths))
-        self._parts.append(self.part())
-        try:
-            self._open_file(path)
-            self.paths.append(path)
-            self._write_metadata_yaml()
-        except BaseException:
-            self._parts.pop()
-            self._file, self.counts, self.paths = full, counts, self.paths[: len(self._parts) + 1]
-            self._pending, self._pending_bytes, self._chunk_start = {}, 0, None
-            path.unlink(missing_ok=True)
-            raise
-        full.close()
-
-    def _write_metadata_yaml(self) -> None:
-        write_metadata_yaml(self._place, [*self._parts, self.part()], self._channels)
 
 
 def attach_policy(

@@ -21,7 +21,6 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from g1stream.errors import ConfigError
 from g1stream.robot.kinematics import forward_kinematics, local_transforms
-from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -76,14 +75,12 @@ class TransformsEncoder:
     Args:
         robot: the robot.
         prefix: prefix of link names in frame names.
-        root_link: link whose pose is given; None: the URDF's root link.
         world: name of the world frame, which no link may have.
         flat: put every link directly under the world instead of under its parent.
         single: round poses to single precision, which takes half the space in a compressed file.
 
     Raises:
         ConfigError: the frame of a link has the name of the world frame.
-        RobotError: the robot has no link `root_link`.
     """
 
     def __init__(
@@ -91,7 +88,6 @@ class TransformsEncoder:
         robot: G1,
         prefix: str = "",
         *,
-        root_link: str | None = None,
         world: str = WORLD_FRAME,
         flat: bool = False,
         single: bool = False,
@@ -100,7 +96,6 @@ class TransformsEncoder:
         if flat:
             parents = [world] * len(frames)
         self._robot = robot
-        self._link = 0 if root_link is None else robot.link_index(root_link)
         self._poses = forward_kinematics if flat else local_transforms
         self._dtype = np.float32 if single else np.float64
         message = FrameTransforms()
@@ -125,17 +120,12 @@ class TransformsEncoder:
         Args:
             times_ns: (T,) int64, ns since the epoch.
             joint_pos: (T, 29) rad, motor order.
-            root_pos: (T, 3) position of `root_link` in the world, m; or (3,) for all times.
+            root_pos: (T, 3) position of the root link in the world, m; or (3,) for all times.
             root_quat_wxyz: (T, 4) its unit quaternion, wxyz; or (4,) for all times.
 
         Returns:
             (T, size) uint8; each row is one message.
         """
-        if self._link:
-            in_root = forward_kinematics(self._robot, joint_pos, *IDENTITY_POSE)
-            quat_in_root = in_root.quat_wxyz[:, self._link]
-            root_quat_wxyz = quat_mul(root_quat_wxyz, quat_conj(quat_in_root))
-            root_pos = root_pos - quat_rotate(root_quat_wxyz, in_root.pos[:, self._link])
         poses = self._poses(self._robot, joint_pos, root_pos, root_quat_wxyz)
         values = np.concatenate((poses.pos, poses.quat_wxyz), axis=2, dtype=self._dtype)
         return self._template.fill(times_ns, values)
@@ -156,7 +146,7 @@ def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str
     if world in frames:
         raise ConfigError(
             f"The world frame {world!r} has the name of a link of {robot.name}.",
-            "Rename the link, or use another world frame with --world-frame of `convert`.",
+            "Rename the link in the URDF.",
         )
     return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
 

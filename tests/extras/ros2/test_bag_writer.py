@@ -198,3 +198,41 @@ def test_the_command_and_the_flags_of_motions_that_it_refuses(tmp_path, capsys):
     assert report["counts"].keys() == {"/tf", "/reference/joint_states", "/robot_description"}
     assert report["left_out"] == {"/scene": 1}
     assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "out_0.mcap"]
+
+
+def content(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def no_directory(path):
+    path.rename(path.with_name("moved"))
+    path.write_bytes(b"precious")
+
+
+def link(path):
+    path.rename(path.with_name("moved"))
+    path.symlink_to("moved")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda path: (path / "notes.txt").write_bytes(b"precious"),
+        no_directory,
+        link,
+    ],
+)
+def test_only_a_bag_of_ours_is_replaced_and_only_with_force(recorded, tmp_path, change):
+    out = tmp_path / "bag"
+    write_ros2_bag(recorded, out)
+    before = content(tmp_path)
+    with pytest.raises(RecordingError):
+        write_ros2_bag(recorded, out)
+    assert content(tmp_path) == before
+    assert write_ros2_bag(recorded, out, force=True).path == out
+    change(out)
+    before = content(tmp_path)
+    for force in (True, False):
+        with pytest.raises(RecordingError):
+            write_ros2_bag(recorded, out, force=force)
+    assert content(tmp_path) == before

@@ -21,9 +21,8 @@ from g1stream.motion.readers import MotionFile
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNEL_OF
-from g1stream.session.parts import parts_of
 from g1stream.session.recording import has_essentials
-from g1stream.session.source import MemorySource, SessionFiles
+from g1stream.session.source import MemorySource, SessionFiles, files_of
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
 
@@ -83,7 +82,7 @@ def open_log(path: Path) -> SessionSource:
     """
     if path.suffix.lower() == ".csv":
         return _csv_log(path)
-    in_mcap = is_session(parts_of(path)[0])
+    in_mcap = is_session(files_of(path)[0])
     source: SessionSource = SessionFiles(path) if in_mcap else extension("read_log")(path)
     if has_essentials(source.topics):
         return source
@@ -95,7 +94,7 @@ def _joint_log(path: Path, recorded: RecordedMotion) -> MemorySource:
     """Joint states and pelvis transforms of a log as samples of a robot."""
     poses = recorded.poses()
     log = MemorySource(str(path))
-    log.paths = parts_of(path)
+    log.paths = files_of(path)
     values = {"q": poses.q}
     if poses.pelvis_known:
         values |= {"quat": poses.root_quat_wxyz, "pos": poses.root_pos}

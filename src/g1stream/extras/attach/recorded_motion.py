@@ -24,7 +24,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.motions import GAP_PERIODS, PAUSE_NS, motion_of_poses
-from g1stream.session.parts import parts_of
+from g1stream.session.source import files_of
 from g1stream.session.streams import MAX_GAP_NS, without_steps
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
@@ -527,7 +527,7 @@ def open_recorded(file: MotionFile) -> RecordedMotion:
         ConfigError: the extra that reads it is not installed.
         RecordingError: it is damaged.
     """
-    parts = parts_of(file.path)
+    parts = files_of(file.path)
     in_ros = not is_session(parts[0])  # SQLite, or compressed as a whole
     files = [] if in_ros else [McapFile(part) for part in parts]
     kinds = {kind for one in files for kind, _ in one.types.values()}

@@ -28,7 +28,7 @@ class Simulate(SettingsCommand, QuietFlag):
       2  bad input: no commands or states, or unknown support of the robot
     """
 
-    session: Path = argument("Session file, or directory of a split recording.", "SESSION")
+    session: Path = argument("Session file.", "SESSION")
     out: Path | None = flag(
         None, "Write the session with the simulated joints.", "MCAP", aliases=("-o",)
     )

@@ -31,9 +31,7 @@ class Report(SessionFlags, QuietFlag):
       2  bad input: not a session file, a file that cannot be written
     """  # noqa: D205
 
-    sessions: tuple[Path, ...] = argument(
-        "Session files, or directories of split recordings.", "SESSION..."
-    )
+    sessions: tuple[Path, ...] = argument("Session files.", "SESSION...")
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")

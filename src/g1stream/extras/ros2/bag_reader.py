@@ -25,8 +25,7 @@ from g1stream.files import begins_with
 from g1stream.input_limits import LATEST_NS
 from g1stream.motion.readers import MotionFile
 from g1stream.session.mcap_reader import McapFile, Messages
-from g1stream.session.parts import parts_of
-from g1stream.session.source import FilesSource, RecordingFile
+from g1stream.session.source import FilesSource, RecordingFile, files_of
 
 #: Number of messages per batch.
 _ROWS: Final = 100
@@ -34,7 +33,7 @@ _ROWS: Final = 100
 
 def open_bag(file: MotionFile) -> RecordedMotion:
     """Open a bag: an MCAP or SQLite file, or a directory with metadata.yaml."""
-    parts = parts_of(file.path)
+    parts = files_of(file.path)
     # Unlike rosbags, the session reader can read files of a killed recorder.
     in_mcap = begins_with(parts[0], b"\x89MCAP")
     files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(file.path)]
@@ -53,7 +52,7 @@ class BagSource(FilesSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.paths = [one for one in parts_of(path) if one.is_file()]
+        self.paths = [one for one in files_of(path) if one.is_file()]
         self._read_from([_Bag(path)])
 
     def attachments(self) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ that ROS tools expect. Every message keeps its log and publish time.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from mimetypes import guess_type
 from pathlib import Path
@@ -20,23 +20,19 @@ from google.protobuf.message import DecodeError
 from rosbags.serde import SerdeError
 from rosbags.typesys.stores import ros2_humble as ros
 
+from g1stream._version import __version__
 from g1stream.errors import RecordingError
 from g1stream.extras.attach.recorded_motion import FOXGLOVE
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
-from g1stream.files import output_errors, temporary_path
+from g1stream.files import complete_directory
 from g1stream.session.format import CHANNELS, Channel, encode_string
-from g1stream.session.mcap_writer import Compression
-from g1stream.session.parts import (
-    check_recording_path,
-    part_path,
-    parts_directory,
-    remove_recording,
-    replace_recording,
-    write_metadata_yaml,
-)
-from g1stream.session.source import SessionFiles
+from g1stream.session.source import METADATA_YAML, SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
+
+#: Version of metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
+#: `Channel.offered_qos_profiles` has this version, too.
+_VERSION: Final = 6
 
 
 @dataclass(frozen=True)
@@ -59,24 +55,20 @@ def write_ros2_bag(
     out: Path,
     *,
     force: bool = False,
-    compression: Compression = "zstd",
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Ros2Report:
     """Write a session as a ROS 2 bag. Nothing is written if it fails."""
-    source, out = SessionFiles(session), parts_directory(out)
+    source, out = SessionFiles(session), out.with_suffix("") if out.suffix == ".mcap" else out
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
         raise RecordingError(f"The output {out} contains the session.", "Choose another directory.")
-    check_recording_path(out, split=True, force=force)
-    place = temporary_path(out)
-    total, done = max(1, sum(source.topics.values())), 0
-    try:
-        with output_errors(out):
-            place.mkdir()
-        path = place / part_path(out, 0).name
-        with SessionWriter(path, channels=_CHANNELS, compression=compression) as writer:
+    total, done, name = max(1, sum(source.topics.values())), 0, f"{out.name}_0.mcap"
+    with complete_directory(out, (METADATA_YAML, name), force=force) as place:
+        path = place / name
+        with SessionWriter(path, channels=_CHANNELS) as writer:
             writer.add_metadata(source.metadata)
-            for name, data in source.attachments().items():
-                writer.attach(name, guess_type(name)[0] or "application/octet-stream", data, 0)
+            for attached, data in source.attachments().items():
+                kind = guess_type(attached)[0] or "application/octet-stream"
+                writer.attach(attached, kind, data, 0)
             for topic, batch in source.batches(set(_OUTPUTS)):
                 output = _OUTPUTS[topic]
                 payloads = _converted(session, topic, output, batch.data)
@@ -84,17 +76,59 @@ def write_ros2_bag(
                 writer.write_batch(output.channel.topic, payloads, *times)
                 done += len(payloads)
                 on_progress(done / total)
-        write_metadata_yaml(place, [writer.part()], _CHANNELS)
+        _write_metadata_yaml(place, name, writer.counts, writer.log_times)
         size = path.stat().st_size
-        if out.exists():
-            replace_recording(place, out)
-        else:
-            with output_errors(out):
-                place.rename(out)
-    finally:
-        remove_recording(place)
     left_out = {topic: n for topic, n in source.topics.items() if n and topic not in _OUTPUTS}
     return Ros2Report(out, size, writer.counts, left_out)
+
+
+def _write_metadata_yaml(
+    directory: Path,
+    name: str,
+    counts: Mapping[str, int],
+    log_times: tuple[int | None, int | None],
+) -> None:
+    """Write the metadata.yaml of a bag with one file.
+
+    Args:
+        directory: the bag.
+        name: name of the file.
+        counts: number of messages by topic.
+        log_times: first and last log time, ns since the epoch; None without messages.
+
+    """
+    import yaml
+
+    first, last = (time or 0 for time in log_times)
+    about = {
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": last - first},
+        "message_count": sum(counts.values()),
+    }
+    bag = {
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [name],
+        **about,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": _CHANNELS[topic].schema_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": _CHANNELS[topic].offered_qos_profiles,
+                },
+                "message_count": n,
+            }
+            for topic, n in sorted(counts.items())
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [{"path": name, **about}],
+        "custom_data": {"g1stream": __version__},
+    }
+    text = yaml.safe_dump({"rosbag2_bagfile_information": bag}, sort_keys=False)
+    (directory / METADATA_YAML).write_text(text, "utf-8")
 
 
 class _Output(NamedTuple):

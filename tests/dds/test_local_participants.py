@@ -40,9 +40,8 @@ for descriptor in map(int, os.listdir("/proc/self/fd")):
         os.set_inheritable(descriptor, True)
     except OSError:
         pass
-child = subprocess.Popen(["sleep", "30"], close_fds=False)
-import atexit, signal
-signal.signal(signal.SIGTERM, lambda *_: (child.kill(), os._exit(0)))
+# It ends with its standard input, when the process that shares its sockets is killed.
+child = subprocess.Popen(["cat"], stdin=subprocess.PIPE, close_fds=False)
 """
     pid = stranger(code)
     (found,) = found_in(domain)

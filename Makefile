@@ -11,7 +11,7 @@ help:
 	@echo "make test   install, then run the whole test suite"
 	@echo "make test-fast   the tests that need no DDS and are not slow"
 	@echo "make lint   ruff, mypy --strict, import contracts"
-	@echo "make docs   write configs/*.toml, the package's stub and the man page from the code"
+	@echo "make docs   write configs/*.toml, the package's stub, the man page and docs/support.md from the code"
 	@echo "make site   build the documentation as pages that need no network (build/site/)"
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
@@ -54,6 +54,7 @@ docs: $(VENV)/.run
 	$(BIN)/python tools/make_stub.py
 	$(BIN)/python tools/make_configs.py
 	$(BIN)/python tools/make_man_page.py
+	$(BIN)/python tools/make_support_page.py
 
 site: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"

@@ -192,7 +192,7 @@ def ticks(motion: Motion) -> None:
     balance = Balance(ROBOT, 0.002)
     balance.begin(targets[0])
     hung = load_config(over={"stream.support": "hanging"})
-    source = load_source(hung, ROBOT, simulated=True, complete=True)
+    source = load_source(hung, ROBOT, simulated=True)
     hanging = FeedForward(
         "dynamics", "hanging", source=source, limit=ROBOT.torque_limit, period=0.002
     )

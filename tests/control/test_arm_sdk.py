@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from g1stream.config import load_config
+from g1stream.control.combinations import require_combination
 from g1stream.control.command import hand_back_commands
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
-from g1stream.control.wire_settings import for_wire
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
+from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 PERIOD = 2_000_000  # ns
@@ -85,8 +86,9 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end)
     [("joints", "legs,arms"), ("joints", "*"), ("others", "free"), ("support", "hanging")],
 )
 def test_what_cannot_be_is_refused(flag, value):
+    config = load_config(over={"stream.via": "arm_sdk", f"stream.{flag}": value})
     with pytest.raises(ConfigError) as refused:
-        for_wire(load_config(over={"stream.via": "arm_sdk", f"stream.{flag}": value}))
+        require_combination(config, G1.default(), simulated=True)
     assert f"stream.{flag}" in refused.value.cause
 
 

@@ -24,8 +24,8 @@ class Policy(Source):
 
     gains, tells = GAINS, POLICY
 
-    def __init__(self, config, robot, *, simulated, complete):
-        assert (config.stream.support, simulated, complete) == ("feet", True, True)
+    def __init__(self, config, robot, *, simulated):
+        assert (config.stream.support, simulated) == ("feet", True)
         self.computed, self.seen, self.ticks = [], [], []
         self._until, self._q, self._told = 0, None, b""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.config import Config
+from g1stream.control.combinations import require_combination
 from g1stream.control.command import MOVED
 from g1stream.control.gains import gains_in_play
 from g1stream.control.sources import load_source
@@ -112,8 +113,8 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     held = played if settings.others == "free" else robot.present
     if settings.via == "arm_sdk":
         held = MOVED & robot.present
-    complete = bool((robot.torque_limit * held).all())
-    source = load_source(config, robot, simulated=simulated, complete=complete)
+    require_combination(config, robot, simulated=simulated)
+    source = load_source(config, robot, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.change(motion)

@@ -179,14 +179,13 @@ class Source:
         return None
 
 
-def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:
+def load_source(config: Config, robot: G1, *, simulated: bool) -> Source:
     """Load the source that a config selects.
 
     Args:
         config: the settings in force.
         robot: the robot.
         simulated: only a simulator can be reached.
-        complete: every joint gets its torque.
 
     Raises:
         ConfigError: the source is not installed, or conflicts with other settings.
@@ -195,7 +194,7 @@ def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -
     """
     settings = config.stream
     if place := SOURCES.get("policy" if settings.policy else settings.support or ""):
-        made: Source = load_object(place)(config, robot, simulated=simulated, complete=complete)
+        made: Source = load_object(place)(config, robot, simulated=simulated)
         return made
     if settings.feedforward not in (None, "dynamics"):
         return Source()

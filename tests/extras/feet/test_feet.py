@@ -7,6 +7,7 @@ import pytest
 import g1stream
 from g1stream.app.rollout import rollout
 from g1stream.config import Config, SimConfig
+from g1stream.control.combinations import require_combination
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.sources import load_source
@@ -153,7 +154,8 @@ def test_where_there_may_be_a_robot_it_has_to_be_allowed_with_its_torques():
     def made(**stream):
         asked = {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
         settings = Config.model_validate(asked)
-        return load_source(settings, G1.default(), simulated=False, complete=True)
+        require_combination(settings, G1.default(), simulated=False)
+        return load_source(settings, G1.default(), simulated=False)
 
     with pytest.raises(SafetyError, match="eth0"):
         made()

@@ -4,6 +4,7 @@ import pytest
 
 import g1stream
 from g1stream.config import load_config
+from g1stream.control.combinations import require_combination
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment
 from g1stream.control.targets import Target
@@ -226,7 +227,6 @@ def test_the_way_back_to_standing(policy, target):
 @pytest.mark.parametrize(
     "over",
     [
-        {"stream.rate": 120.0},
         {"stream.loop": True, "stream.duration": 2.0},
         {"stream.joints": "arms"},
         {"stream.via": "arm_sdk"},
@@ -238,12 +238,22 @@ def test_the_way_back_to_standing(policy, target):
 def test_settings_that_do_not_go_with_a_policy(policy, over):
     config = load_config(over={"stream.policy": str(policy())} | over)
     with pytest.raises(ConfigError):
-        PolicyTargets(config, ROBOT)
+        require_combination(config, ROBOT, simulated=True)
+
+
+def test_the_rate_is_a_multiple_of_the_policys(policy):
+    with pytest.raises(ConfigError):
+        PolicyTargets(
+            load_config(over={"stream.policy": str(policy()), "stream.rate": 120.0}), ROBOT
+        )
 
 
 def test_no_robot_and_none_that_a_simulator_holds_is_commanded_by_a_policy(policy):
+    require_combination(settings(policy()), ROBOT, simulated=True)
     with pytest.raises(SafetyError):
-        PolicyTargets(settings(policy()), ROBOT, simulated=False)
+        require_combination(settings(policy()), ROBOT, simulated=False)
+    with pytest.raises(ConfigError, match="g1_23dof"):
+        require_combination(settings(policy()), G1.load("g1_23dof"), simulated=True)
     with pytest.raises(ConfigError):
         PolicyTargets(settings(policy()), ROBOT).begin("free", "bolted", None)
 

@@ -373,11 +373,6 @@ def test_terms_of_two_sessions_are_compared(falling, place):
     assert f"action {found.terms_apart['action']:.3g}" in " ".join(str(found).split())
 
 
-def test_a_session_of_a_policy_is_not_replayed_by_one(falling, place):
-    with pytest.raises(ConfigError):
-        g1stream.replay(falling, config(policy=str(place / "policy.onnx")))
-
-
 def test_a_part_that_begins_after_the_fall(falling, monkeypatch):
     end = float(falling.policy.time[0]) - 0.01
     monkeypatch.setattr("g1stream.extras.policy.steps._fall", lambda _: (end, "the tilt"))

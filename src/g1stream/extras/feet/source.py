@@ -14,7 +14,7 @@ from g1stream.config import Config
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment, Source, possible_revisions
 from g1stream.control.targets import LOWERED, Target
-from g1stream.errors import ConfigError, SafetyError
+from g1stream.errors import ConfigError
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.physics.stand import stand_or_explain
@@ -65,10 +65,7 @@ class StandingTorques(Source):
     needed = True
     lift = _LIFT
 
-    def __init__(
-        self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
-    ) -> None:
-        _require_standing(config, simulated=simulated)
+    def __init__(self, config: Config, robot: G1, *, simulated: bool = True) -> None:
         self._config, self._robot = config, robot
         period, robots = config.stream.period / 1e9, possible_revisions(robot, simulated=simulated)
         self.way_down = Squat(robot)
@@ -182,25 +179,3 @@ def _levelled(target: Target, imu: ImuReading) -> Floats:
     change[_ANKLES[:, 0]] = -tilt[1]
     change[_ANKLES[:, 1]] = -tilt[0]
     return change
-
-
-def _require_standing(config: Config, *, simulated: bool) -> None:
-    """Refuse settings with which the robot cannot be balanced, or might not be."""
-    settings = config.stream
-    if not (simulated or settings.experimental_feet):
-        raise SafetyError(
-            f"--support feet is not allowed on {config.dds.interface}: it was only tested in "
-            "simulators, "
-            "and a robot that falls breaks.",
-            "Use --support hanging, or the loopback interface; --experimental-feet allows it.",
-        )
-    if settings.feedforward not in (None, "dynamics"):
-        raise ConfigError(
-            "support feet needs computed torques at every tick.",
-            "Give --feedforward dynamics, or hold the robot otherwise.",
-        )
-    if settings.loop or settings.via != "lowcmd" or settings.others != "hold":
-        raise ConfigError(
-            "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
-            "Remove --via, --others and --loop, or hold the robot otherwise.",
-        )

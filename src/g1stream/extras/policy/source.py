@@ -16,7 +16,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.reading import ticks_between
 from g1stream.control.sources import Source
 from g1stream.dds.messages import POLICY, PolicyStep
-from g1stream.errors import ConfigError, SafetyError
+from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.first_actions import first_actions
@@ -78,7 +78,6 @@ class PolicyTargets(Source):
         config: all settings.
         robot: the robot.
         simulated: only a simulator can be reached.
-        complete: every joint gets its torque.
 
     Attributes:
         contract: the policy's contract.
@@ -96,11 +95,8 @@ class PolicyTargets(Source):
     reference_only = True
     tells = POLICY
 
-    def __init__(
-        self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
-    ) -> None:
+    def __init__(self, config: Config, robot: G1, *, simulated: bool = True) -> None:
         settings = config.stream
-        _require_free(config, simulated=simulated, complete=complete)
         self._network = Network(settings.policy or "")
         self.contract = contract = read_contract(self._network, robot)
         _require_multiple(contract, settings.rate)
@@ -364,33 +360,4 @@ def _require_multiple(contract: PolicyContract, rate: float) -> None:
         raise ConfigError(
             f"stream.rate = {rate:g} Hz is not a multiple of the policy's {contract.rate:g} Hz.",
             f"Give a multiple, such as --rate {contract.rate * 10:g}.",
-        )
-
-
-def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
-    """Refuse settings that prevent a policy from balancing the robot."""
-    settings = config.stream
-    if not simulated:
-        raise SafetyError(
-            f"--policy is not allowed on {config.dds.interface}: it was only tested in simulators, "
-            "and a robot that falls breaks.",
-            "Use the loopback interface.",
-        )
-    if settings.support not in (None, "free") or settings.feedforward not in (None, "dynamics"):
-        raise ConfigError(
-            "A policy commands a free-standing robot at every tick.",
-            "Remove --support and --feedforward.",
-        )
-    if config.gains.kp or config.gains.kd:
-        raise ConfigError("A policy uses the gains of its training.", "Remove --gains and [gains].")
-    if (
-        settings.others != "hold"
-        or settings.loop
-        or settings.joints
-        or settings.via != "lowcmd"
-        or not complete
-    ):
-        raise ConfigError(
-            "A policy plays a motion once, with all 29 joints, on rt/lowcmd.",
-            "Remove --loop, --joints, --others and --via.",
         )

@@ -118,6 +118,13 @@ def domain_id() -> Iterator[int]:
         yield claimed
 
 
+@pytest.fixture
+def participant(domain_id: int) -> Iterator[Participant]:
+    """A participant in the domain of this test."""
+    with Participant(domain_id, "lo") as joined:
+        yield joined
+
+
 @pytest.fixture(scope="module")
 def module_domain_id() -> Iterator[int]:
     """Like `domain_id`, for what a module's tests share."""

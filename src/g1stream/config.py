@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from g1stream.errors import ConfigError
 from g1stream.files import read_file
 from g1stream.input_limits import SETTINGS_DOTS, SETTINGS_FILE, check_integers
-from g1stream.network import is_local_only
+from g1stream.network import is_loopback
 from g1stream.types import (
     STREAM_RATE,
     BeyondLimits,
@@ -338,6 +338,7 @@ class StreamConfig(Table):
         ge=0.5,
         le=1.05,
         robot=1.0,
+        dangerous=True,
     )
 
     @property
@@ -769,6 +770,12 @@ class SafetyConfig(Table):
         return _FALLEN if support in ("free", "feet") else inf
 
 
+#: The tables with values that depend on the profile.
+_PROFILED: Final[tuple[tuple[str, type[Table]], ...]] = (
+    ("stream", StreamConfig),
+    ("safety", SafetyConfig),
+)
+
 #: Config files that come with the package, found by name: `--config robot`.
 SHIPPED: Final = Path(__file__).with_name("configs")
 
@@ -831,14 +838,20 @@ class Config(Table):
         filled = dict(values)
         if filled.get("profile") is None:
             interface = _given(filled.get("dds")).get("interface") or DdsConfig().interface
-            on_loopback = not isinstance(interface, str) or is_local_only(interface)
+            on_loopback = not isinstance(interface, str) or is_loopback(interface)
             filled["profile"] = "simulator" if on_loopback else "robot"
         if filled["profile"] == "robot":
-            for name, table in (("stream", StreamConfig), ("safety", SafetyConfig)):
+            for name, table in _PROFILED:
                 given = filled.get(name, {})
                 if isinstance(given, dict | table):
                     filled[name] = _robot_values(table) | _given(given)
         return filled
+
+    def filled(self) -> Config:
+        """These settings with the values of the profile, also after `model_copy`."""
+        return Config.model_validate(
+            {name: getattr(self, name) for name in type(self).model_fields}
+        )
 
     def wider_than_robot(self) -> list[WiderValue]:
         """The values that are less careful than those of the profile `robot`."""

@@ -57,7 +57,7 @@ def interface_flags(interface: str) -> InterfaceFlags:
 
     /sys may show the interfaces of another network namespace, a socket belongs to this one's.
     """
-    request = struct.pack("16sH14x", interface.encode(), 0)
+    request = struct.pack("16sH14x", os.fsencode(interface), 0)
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         return InterfaceFlags(
             struct.unpack("16xH14x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request))[0]

@@ -100,18 +100,18 @@ def test_a_stream_that_a_debugger_stops_is_replaced(domain_id, running, tap, tmp
     assert session.command.kp[-1].max() == 0
 
 
-def test_the_guard_can_be_left_out_on_loopback_only():
+def test_the_guard_can_be_left_out_on_loopback_only(participant):
     values = {"safety": {"guard": False}, "dds": {"interface": "eth0"}}
     with pytest.raises(ConfigError, match=r"safety\.guard"):
-        Guard(Config.model_validate(values))
+        Guard(Config.model_validate(values), participant)
     values["dds"] = {"interface": "lo"}
-    with Guard(Config.model_validate(values)) as guard:
+    with Guard(Config.model_validate(values), participant) as guard:
         assert guard.wait_until_ready() is None
 
 
-def test_a_guard_that_cannot_join_is_an_error():
+def test_a_guard_that_cannot_join_is_an_error(participant):
     config = Config.model_validate({"dds": {"interface": "nowhere0"}})
-    with Guard(config) as guard, pytest.raises(ChildError, match="nowhere0"):
+    with Guard(config, participant) as guard, pytest.raises(ChildError, match="nowhere0"):
         guard.wait_until_ready()
 
 
@@ -126,22 +126,22 @@ def test_a_guard_that_dies_before_the_loop_runs_ends_the_stream(domain_id, until
     assert summary.stream.commands == 0
 
 
-def test_a_guard_without_memory_is_an_error():
+def test_a_guard_without_memory_is_an_error(participant):
     """No file can be opened, as in a process that has reached its limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
     try:
         with pytest.raises(SafetyError) as error:
-            Guard(Config())
+            Guard(Config(), participant)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     assert error.value.remedy
 
 
-def test_a_guard_that_cannot_be_started_is_an_error(monkeypatch):
+def test_a_guard_that_cannot_be_started_is_an_error(monkeypatch, participant):
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     with pytest.raises(ChildError) as error:
-        Guard(Config())
+        Guard(Config(), participant)
     assert error.value.remedy
 
 
@@ -165,7 +165,7 @@ def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, tap, 
 
     monkeypatch.setattr(RawWriter, "write", every_other)
     monkeypatch.setattr(RawWriter, "announce", refused)
-    settings = _settings(config, heartbeat.descriptor)._replace(damp=200_000_000)
+    settings = _settings(config, heartbeat.descriptor, ())._replace(damp=200_000_000)
     with tap(domain_id) as commands, Participant(domain_id, "lo") as participant:
         writer = RawWriter(participant, LOWCMD)
         until(lambda: writer.matched, "the tap")

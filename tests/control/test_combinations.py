@@ -6,20 +6,19 @@ from pathlib import Path
 import pytest
 
 from g1stream.config import StreamConfig, load_config
-from g1stream.control.combinations import combinations, require_combination
+from g1stream.control.combinations import _ABOUT, combinations, require_combination
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.robot.joints import JOINT_SETS
 from g1stream.robot.model import G1
 
 ROOT = Path(__file__).parents[2]
-ABOUT = {"what", "kinds", "network", "lockstep", "dds", "gains"}
 
 
 def test_the_tables_name_settings_and_kinds_that_exist():
     kinds = {one.name for one in JOINT_SETS}
     for receivers in combinations().values():
         for about in receivers.values():
-            assert about.keys() - ABOUT <= StreamConfig.model_fields.keys()
+            assert about.keys() - _ABOUT <= StreamConfig.model_fields.keys()
             assert set(about["kinds"]) <= kinds
             assert about["network"] in (True, False, "experimental_feet")
 

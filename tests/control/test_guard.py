@@ -120,7 +120,7 @@ def test_the_guard_damps_where_the_last_command_was():
 @pytest.mark.parametrize("priority", [0, 50])
 def test_the_guard_asks_for_a_priority_above_the_loops(heartbeat, priority):
     config = Config.model_validate({"realtime": {"priority": priority}})
-    assert _settings(config, heartbeat.descriptor).priority == priority + 1
+    assert _settings(config, heartbeat.descriptor, ()).priority == priority + 1
 
 
 @pytest.fixture
@@ -173,6 +173,7 @@ def test_a_stream_that_is_fenced_off_sends_nothing_more_and_still_receives(fence
 
 
 def test_a_send_that_waits_for_the_kernel_never_comes_out(fence, until):
+    """A pair of Unix sockets stands in for UDP, where a full buffer does not block the sender."""
     robot, stream = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     sent, failed = [], []
 

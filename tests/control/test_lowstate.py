@@ -314,3 +314,15 @@ def test_a_repeated_state_is_no_confirmation(make):
     it.state.dq[7] = 9.0
     it.publish(times=5)
     assert (it.checks.measured.dq[7], it.checks.measured.steady_dq[7]) == (9.0, 0.0)
+
+
+@pytest.mark.parametrize(("gap", "steady"), [(16, 1.0), (18, 9.0)])
+def test_states_that_are_too_old_confirm_nothing(make, gap, steady):
+    """The age of the oldest counts, 2 ms more than the gap before the newest two."""
+    it = make()
+    it.state.dq[7] = 1.0
+    it.publish(times=2)
+    it.now += gap * MS
+    it.state.dq[7] = 9.0
+    it.publish()
+    assert it.checks.measured.steady_dq[7] == steady

@@ -71,9 +71,35 @@ def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_pa
         assert participant.uses_environment
         assert len(participant.sockets) >= 3
         assert "127.0.0.1" in trace.read_text()
-    monkeypatch.delenv("CYCLONEDDS_URI")
+        monkeypatch.delenv("CYCLONEDDS_URI")
+        with pytest.raises(WireError, match="CYCLONEDDS_URI"):  # Cyclone would use it all the same
+            Participant(domain_id, "lo")
     with Participant(domain_id, "lo") as participant:
         assert not participant.uses_environment
+        monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
+        with pytest.raises(WireError, match="CYCLONEDDS_URI"):
+            Participant(domain_id, "lo")
+
+
+def test_a_domain_whose_sockets_are_shut_down_cannot_be_joined_again(domain_id):
+    with Participant(domain_id, "lo") as participant:
+        participant.cut_off()
+        with pytest.raises(WireError, match="shut down"):
+            Participant(domain_id, "lo")
+    with Participant(domain_id, "lo"):
+        pass
+
+
+def test_a_descriptor_that_is_reused_is_not_a_socket_of_the_domain(domain_id):
+    with Participant(domain_id, "lo") as participant:
+        first, *others = participant.sockets
+        copy = os.dup(first)
+        with Path("/dev/null").open() as other:
+            os.dup2(other.fileno(), first)
+            assert participant.sockets == others
+        os.dup2(copy, first)
+        os.close(copy)
+        assert participant.sockets == [first, *others]
 
 
 def test_a_broken_configuration_of_the_user_is_an_error(domain_id, monkeypatch):

@@ -8,7 +8,6 @@ import pytest
 
 from g1stream import child_process
 from g1stream.config import Config
-from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.errors import RecordingError
@@ -18,12 +17,6 @@ from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
 from g1stream.view.pipeline import MessagePipeline
-
-
-@pytest.fixture
-def participant(domain_id):
-    with Participant(domain_id, "lo") as participant:
-        yield participant
 
 
 @pytest.fixture

@@ -106,14 +106,15 @@ class _Server:
         }
         listener: Any = self  # it has only the callbacks for what clients can do here
         host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
-        self._server = start_server(
-            name="g1stream", host=host, port=0, context=self._context, server_listener=listener
-        )
         try:
+            self._server = start_server(
+                name="g1stream", host=host, port=0, context=self._context, server_listener=listener
+            )
             _Entrance(port, origins, (host, self._server.port))
-        except OSError as error:
+        except (OSError, RuntimeError) as error:
+            why = getattr(error, "strerror", None) or error
             raise ConfigError(
-                f"The live view cannot listen on port {port}: {error.strerror}.",
+                f"The live view cannot listen on port {port}: {why}.",
                 "Stop the program that uses it, or choose another port with --live-port.",
             ) from error
 

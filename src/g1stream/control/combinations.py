@@ -65,7 +65,8 @@ def require_combination(config: Config, robot: G1, *, simulated: bool) -> None:
         raise SafetyError(
             f"{named} is not allowed on {network_name(config.dds.interface)}: it was only tried "
             "in simulators, and a robot that falls breaks.",
-            "Use the loopback interface.",
+            "Use the loopback interface."
+            + (f" Or set stream.{network} = true." if isinstance(network, str) else ""),
         )
     for name in sorted(row.keys() - _ABOUT):
         value, allowed = getattr(settings, name), row[name]

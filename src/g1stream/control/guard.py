@@ -288,9 +288,9 @@ class Guard:
         ChildError: the guard process cannot be started.
     """
 
-    def __init__(self, config: Config, participant: Participant | None = None) -> None:
+    def __init__(self, config: Config, participant: Participant) -> None:
         self._participant = participant
-        sockets = participant.sockets if participant else ()
+        sockets = participant.sockets
         self._loop: GuardedLoop | None = None
         self._failure = ""
         self._began = False
@@ -351,7 +351,7 @@ class Guard:
             _LOGGER.warning("%s", error.cause)
         finally:
             if self._heartbeat:
-                if self._participant and self._heartbeat.takeover:
+                if self._heartbeat.takeover:
                     self._participant.cut_off()
                 self._heartbeat.close()
 
@@ -393,7 +393,7 @@ class _Settings(NamedTuple):
     arm_sdk: bool
 
 
-def _settings(config: Config, memory: int, sockets: Sequence[int] = ()) -> _Settings:
+def _settings(config: Config, memory: int, sockets: Sequence[int]) -> _Settings:
     settings, wire, priority = config.stream, config.dds, config.realtime.priority
     limit = max(_ROBOT_SILENCE, 2.0 / settings.rate)
     if is_local_only(wire.interface):

@@ -342,7 +342,8 @@ class StreamLoop:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
             self._commands.begin(measured, self._link.support(), self._link.model())
-            self._checks.begin(self._feedforward.support)
+            # With arm_sdk, the robot's own controller stands on its feet.
+            self._checks.begin("free" if self._topic is ARM_SDK else self._feedforward.support)
         elif phase is Phase.PLAY:
             self._robot_time.begin(self._clock.now())
         elif phase is Phase.DAMP:

@@ -172,8 +172,10 @@ class RobotMonitor:
         if tilt <= limit:
             return ""
         return (
-            f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad; raise it "
-            "only for a robot that hangs and may swing further)"
+            f"the pelvis tilt is {tilt:.2f} rad ({limit:g} rad is upside down, or its IMU is wrong)"
+            if self._config.max_tilt is None and limit == _OVERTURNED
+            else f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad; raise "
+            "it only for a robot that hangs and may swing further)"
         )
 
     def _too_fast(self, measured: Reading) -> str:

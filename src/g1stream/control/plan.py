@@ -96,7 +96,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         motion: a motion, a motion file, or the name of a bundled motion.
         config: all settings.
         simulated: only a simulator can be reached, and settings apply as given; None: determined
-            from the interface, which also determines unset settings, see `for_wire`.
+            from the interface, and settings depend on the receiver, see `for_wire`.
 
     Raises:
         ConfigError: a setting conflicts with others or the motion, or an extra is not installed.

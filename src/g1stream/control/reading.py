@@ -53,7 +53,7 @@ class Reading:
         finite: whether `q`, `dq`, `tau` and `imu` have no NaN or infinity.
         stamps: publish time and reception time, ns since the epoch, for records; 0 if unknown.
         recent: the values of up to three LowStates, with different content and finite, oldest
-            first.
+            first, each after its time of reception, ns.
     """
 
     q: NDArray[np.floating]
@@ -66,20 +66,28 @@ class Reading:
     content: bytes = b""
     finite: bool = True
     stamps: tuple[int, int] = (0, 0)
-    recent: tuple[NDArray[np.floating], ...] = ()
+    recent: tuple[tuple[int, NDArray[np.floating]], ...] = ()
 
     @property
     def steady_dq(self) -> NDArray[np.floating]:
-        """(29,) rad/s, without a value that only one LowState has: the median of the last three."""
-        return self._steady(_DQ) if len(self.recent) == _COMPARED else self.dq
+        """(29,) rad/s, without a value that only one LowState has: the median of the last three.
+
+        `dq` until there are three that are not older than `STALE`.
+        """
+        return self._steady(_DQ) if self._comparable else self.dq
 
     @property
     def steady_rate(self) -> NDArray[np.floating]:
         """(3,) rad/s, the gyroscope, as `steady_dq`."""
-        return self._steady(_RATE) if len(self.recent) == _COMPARED else self.imu.gyroscope
+        return self._steady(_RATE) if self._comparable else self.imu.gyroscope
+
+    @property
+    def _comparable(self) -> bool:
+        recent = self.recent
+        return len(recent) == _COMPARED and self.received - recent[0][0] <= STALE * 1e9
 
     def _steady(self, part: slice) -> NDArray[np.floating]:
-        first, second, third = (values[part] for values in self.recent)
+        first, second, third = (values[part] for _, values in self.recent)
         low, high = np.minimum(first, second), np.maximum(first, second)
         steady: NDArray[np.floating] = np.maximum(low, np.minimum(high, third))
         return steady
@@ -96,7 +104,7 @@ class Reading:
         content, recent = values.tobytes(), before.recent if before else ()
         finite = bool(np.isfinite(values).all())
         if before is None or content != before.content:
-            recent = (*recent[1 - _COMPARED :], values) if finite else ()
+            recent = (*recent[1 - _COMPARED :], (received, values)) if finite else ()
         return cls(
             values[:29],
             values[29:58],

@@ -27,6 +27,8 @@ def for_wire(config: Config) -> Config:
             "Use --profile robot; or --profile network-simulator, if a simulator is on that "
             "network and no robot can be reached.",
         )
+    if config.profile == "robot":
+        config = config.filled()
     if config.stream.via != "arm_sdk":
         return config
     timing = {

@@ -207,15 +207,18 @@ class _Joined:
     Attributes:
         interface: the network interface.
         entity: Cyclone's domain; None if CYCLONEDDS_URI configures it.
-        threads, sockets: see `Participant`.
+        threads: see `Participant`.
+        sockets: file descriptors of the network sockets, with their inodes.
         participants: number of participants in it.
+        log_mask: Cyclone's log mask before the sockets were shut down; None: they send.
     """
 
     interface: str
     entity: Domain | None
     threads: list[int]
-    sockets: list[int]
+    sockets: list[tuple[int, int]]
     participants: int = 0
+    log_mask: int | None = None
 
 
 class Participant:
@@ -229,11 +232,10 @@ class Participant:
         uses_environment: whether CYCLONEDDS_URI was set and used instead of `interface`.
         threads: ids of the threads that Cyclone runs for the domain. The loop depends on the
             messages that they receive, and sometimes on a lock that one holds.
-        sockets: file descriptors of the domain's network sockets, which send and receive.
 
     Raises:
-        WireError: the interface does not exist, this process is in the domain on another interface,
-            or Cyclone cannot start there.
+        WireError: the interface does not exist, this process is in the domain on another interface
+            or cannot send there any more, or Cyclone cannot start there.
     """
 
     # Cyclone accepts one configuration per domain id in a process, before the first participant.
@@ -245,14 +247,9 @@ class Participant:
         self.interface = interface
         self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
         self._entities: list[Closable] = []
-        self._log_mask: int | None = None
         joined = self._domains.get(domain)
-        if joined and joined.interface != interface and not self.uses_environment:
-            raise WireError(
-                f"This process uses {joined.interface} for domain {domain} and cannot use "
-                f"{interface} as well.",
-                "Use the same interface for the domain, or another domain.",
-            )
+        if joined:
+            self._require_as(joined)
         entity: Domain | None = None
         threads, sockets = _native_threads(), socket_inodes(Path("/proc/self"))
         try:
@@ -272,21 +269,47 @@ class Participant:
                 interface,
                 entity,
                 sorted(_native_threads() - threads),
-                sorted(opened[inode] for inode in opened.keys() - sockets),
+                sorted((opened[inode], inode) for inode in opened.keys() - sockets),
             )
         joined.participants += 1
-        self.threads, self.sockets = joined.threads, joined.sockets
+        self._joined, self.threads = joined, joined.threads
         self._participants = _Discovered(self.entity, BuiltinTopicDcpsParticipant)
         self._writers = _Discovered(self.entity, BuiltinTopicDcpsPublication)
         self._readers = _Discovered(self.entity, BuiltinTopicDcpsSubscription)
 
+    def _require_as(self, joined: _Joined) -> None:
+        """Check that this participant can send as those that this process has in the domain.
+
+        Raises:
+            WireError: they use another interface, or a guard process has shut their sockets down.
+        """
+        uses = "CYCLONEDDS_URI" if joined.entity is None else joined.interface
+        wanted = "CYCLONEDDS_URI" if self.uses_environment else self.interface
+        if uses != wanted:
+            raise WireError(
+                f"This process uses {uses} for domain {self.domain} and cannot use {wanted} "
+                "as well.",
+                "Use the same interface for the domain, or another domain.",
+            )
+        if joined.log_mask is not None:
+            raise WireError(
+                f"The guard has shut down the sockets of this process for domain {self.domain}.",
+                "Close the stream that it took over from, then start again.",
+            )
+
+    @property
+    def sockets(self) -> list[int]:
+        """File descriptors of the domain's network sockets, which send and receive."""
+        return [number for number, inode in self._joined.sockets if _is_socket(number, inode)]
+
     def cut_off(self) -> None:
         """Note that the sockets have been shut down for sending, as by a guard process.
 
-        Until this is closed, Cyclone does not print a line for each packet.
+        Until the last participant is closed, Cyclone does not print a line for each packet.
         """
-        self._log_mask = self._log_mask or DDS._dll_handle.dds_get_log_mask()
-        DDS._dll_handle.dds_set_log_mask(0)
+        if self._joined.log_mask is None:
+            self._joined.log_mask = DDS._dll_handle.dds_get_log_mask()
+            DDS._dll_handle.dds_set_log_mask(0)
 
     def register(self, entity: Closable) -> None:
         """Close an entity together with this participant, even if there are references to it."""
@@ -353,18 +376,20 @@ class Participant:
             entity.close()
         self._entities.clear()
         del self._participants, self._writers, self._readers
-        joined = self._domains[self.domain]
+        joined = self._joined
         joined.participants -= 1
-        if self._log_mask is not None and not joined.participants:
+        last = not joined.participants
+        if last and joined.log_mask is not None:
             # The writers are gone. Cyclone 0.10 ends its receiving threads with a packet to itself.
-            for descriptor in joined.sockets:
-                _renew(descriptor)
+            for descriptor in self.sockets:
+                with suppress(OSError):
+                    _renew(descriptor)
         del self.entity
-        if not joined.participants:
+        if last:
             del self._domains[self.domain]
-            del joined
-        if self._log_mask is not None:
-            DDS._dll_handle.dds_set_log_mask(self._log_mask)
+            joined.entity = None
+            if joined.log_mask is not None:
+                DDS._dll_handle.dds_set_log_mask(joined.log_mask)
 
     def __enter__(self) -> Participant:
         return self
@@ -406,6 +431,13 @@ def _config(interface: str) -> str:
         multicast=_LOOPBACK_MULTICAST if here else "",
         discovery=_LOOPBACK_DISCOVERY if here else "",
     )
+
+
+def _is_socket(descriptor: int, inode: int) -> bool:
+    """Whether a file descriptor still is the socket with this inode."""
+    with suppress(OSError):
+        return os.fstat(descriptor).st_ino == inode
+    return False
 
 
 def _renew(descriptor: int) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from g1stream.app.arming import inspect_for_arming
 from g1stream.app.stream import stream
-from g1stream.config import Config, load_config
+from g1stream.config import Config, SafetyConfig, load_config
 from g1stream.control.plan import plan
 from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import Participant
@@ -98,9 +98,22 @@ def test_the_limits_of_a_simulator_are_refused_where_there_may_be_a_robot(monkey
 
 def test_a_config_uri_is_a_network_where_there_may_be_a_robot(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
-    assert Config().profile == "robot"
     with pytest.raises(ConfigError):
-        for_wire(Config(profile="simulator"))
+        for_wire(Config())
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        load_config("robot").model_copy(update={"safety": SafetyConfig(deadman="R1")}),
+        Config().model_copy(update={"profile": "robot", "safety": SafetyConfig(deadman="R1")}),
+    ],
+)
+def test_the_limits_of_a_robot_are_used_however_its_settings_were_made(config):
+    assert config.safety.max_joint_speed == 60.0
+    used = for_wire(config)
+    assert used.safety.max_joint_speed == 10.0
+    assert used.safety.deadman == "R1"
 
 
 def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):

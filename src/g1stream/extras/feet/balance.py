@@ -148,9 +148,9 @@ class Balance:
         """
         ahead = age + 0.5 * self._period  # to the middle of the command's period
         imu, base = measured.imu, self.base
-        dq = measured.dq.astype(np.float64)
+        dq = measured.steady_dq.astype(np.float64)
         q = measured.q + ahead * dq
-        ang_vel = imu.gyroscope.astype(np.float64)
+        ang_vel = measured.steady_rate.astype(np.float64)
         turned = np.concatenate([[1.0], 0.5 * ahead * ang_vel])
         quat = quat_normalize(quat_mul(base.turn(imu), turned))
         state = BodyState(quat, ang_vel, q, dq)

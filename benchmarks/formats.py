@@ -32,11 +32,17 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 import g1stream
-from g1stream.motion.writers import FORMATS, write_motion
+from g1stream.extras.formats.table import WRITTEN
+from g1stream.optional import load_object
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import REVISIONS
 
 CLIP: Final = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
+#: Suffix and frame rate of each format.
+FORMATS: Final = {"csv": (".csv", None), "npz": (".npz", None)} | {
+    name: (form.suffix, form.fps)
+    for name, form in ((name, load_object(where)) for name, where in WRITTEN.items())
+}
 HOUR: Final = 3600 * 30
 ARRAYS: Final = ("body_pos_w", "joint_vel", "body_lin_vel_w", "body_ang_vel_w")
 
@@ -61,10 +67,9 @@ def places(motion: g1stream.Motion) -> np.ndarray[Any, Any]:
 def round_trip(motion: g1stream.Motion, directory: Path) -> dict[str, Any]:
     """Of each format: largest differences, and its size."""
     found = {}
-    for name, form in FORMATS.items():
-        path = directory / f"out{form.suffix}"
-        write_motion(motion, path, name, force=True)
-        expected = motion.resample(form.fps) if form.fps else motion
+    for name, (suffix, fps) in FORMATS.items():
+        path = motion.save(directory / f"out{suffix}", format=name, force=True)
+        expected = motion.resample(fps) if fps else motion
         read = g1stream.load_motion(path, fps=expected.fps if name == "csv" else None)
         files = [path] if path.is_file() else list(path.iterdir())
         found[name] = {
@@ -82,7 +87,7 @@ def velocities(motion: g1stream.Motion, directory: Path) -> dict[str, Any]:
     """Differences of the frames less derivatives of the spline, of joints and bodies."""
     files = []
     for kind in ("spline", "finite"):
-        write_motion(motion, directory / f"{kind}.npz", "mjlab", velocities=kind, force=True)
+        motion.save(directory / f"{kind}.npz", format="mjlab", velocities=kind, force=True)
         with np.load(directory / f"{kind}.npz") as file:
             files.append({name: file[name] for name in ARRAYS[1:]})
     return {name: difference(*(one[name] for one in files)) for name in ARRAYS[1:]}
@@ -99,7 +104,7 @@ def hour(path: Path, name: str) -> dict[str, float]:
     motion = motion.at_frames(np.arange(HOUR) % motion.n_frames)
     with tempfile.TemporaryDirectory() as directory:
         start = time.process_time()
-        write_motion(motion, Path(directory, f"out{FORMATS[name].suffix}"), name)
+        motion.save(Path(directory, f"out{FORMATS[name][0]}"), format=name)  # type: ignore[arg-type]
         cpu_s = time.process_time() - start
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return {"cpu_s": cpu_s, "mb": memory}
@@ -153,7 +158,7 @@ def beside_mjlab(motion: g1stream.Motion, python: str, directory: Path) -> dict[
         ("of the motion", motion, "spline"),
     ):
         start = time.perf_counter()
-        write_motion(one, directory / "ours.npz", "mjlab", velocities=kind, force=True)  # type: ignore[arg-type]
+        one.save(directory / "ours.npz", format="mjlab", velocities=kind, force=True)  # type: ignore[arg-type]
         seconds = {"its s": its_s, "our s": time.perf_counter() - start}
         with np.load(directory / "ours.npz") as ours:
             worst = {
@@ -173,10 +178,9 @@ def beside_holosoma(path: Path, directory: Path) -> dict[str, Any]:
     names = theirs["body_names"].tolist()
     for robot in REVISIONS:
         ours_at = directory / "holosoma.npz"
-        write_motion(
-            motion,
+        motion.save(
             ours_at,
-            "holosoma",
+            format="holosoma",
             robot=g1stream.G1.load(robot),
             velocities="finite",
             force=True,

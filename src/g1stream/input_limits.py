@@ -14,7 +14,6 @@ __all__ = [
     "MESHES",
     "MOTION_FILE",
     "NUMBER",
-    "PICKLE_VALUES",
     "SESSION_RATIO",
     "SETTINGS_DOTS",
     "SETTINGS_FILE",
@@ -50,8 +49,6 @@ SESSION_RATIO: Final = 100
 """Ratio of unpacked chunks to the size of a session file, beyond `UNPACKED`; samples compress to a
 fifth of their size."""
 
-PICKLE_VALUES: Final = 5_000_000
-"""Numbers, texts and containers of a pickle outside arrays; lists can contain a list repeatedly."""
 URDF_LINKS: Final = 1000
 """Links, and joints, of a URDF; a G1 with hands has 60, and each costs computation per step."""
 FRAMES: Final = 500_000

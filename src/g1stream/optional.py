@@ -21,15 +21,17 @@ EXTENSIONS: Final = {
     "attach": "g1stream.extras.attach.attached:with_motion",
     "open_log": "g1stream.extras.attach.logs:open_log",
     "read_recording": "g1stream.extras.attach.recorded_motion:open_recorded",
+    "motion_formats": "g1stream.extras.formats.table:FORMATS",
     "motion_service": "g1stream.extras.onboard.motion_service:MotionSwitcherClient",
     "simulated_service": "g1stream.extras.onboard.simulated:MotionService",
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",
     "read_log": "g1stream.extras.ros2.bag_reader:BagSource",
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
+    "write_motion": "g1stream.extras.formats.write:write_motion",
     "render": "g1stream.extras.video.render:render",
 }
-"""Functions and classes of extras that the core calls, as `module:name`."""
+"""Functions, classes and tables of extras that the core calls, as `module:name`."""
 
 
 def extension(name: str) -> Any:

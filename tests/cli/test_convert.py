@@ -9,7 +9,6 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import g1stream
@@ -37,34 +36,6 @@ def test_the_rate_that_a_csv_does_not_keep_is_told(convert, tmp_path):
     assert "--fps 60" in done.err
 
 
-@pytest.mark.parametrize("flags", [("m.csv",), ("m.npz", "--to", "mjlab"), ("m.mcap",)])
-def test_what_a_file_does_not_say_is_told(convert, tmp_path, flags):
-    """Rate and orders of a CSV without a header; nothing for one that is asked for or named."""
-    name, *to = flags
-    path = tmp_path / "bare.csv"
-    rows = np.loadtxt(DEMO, delimiter=",", skiprows=1)
-    rows[:, 8:] *= 0.1  # too calm for joint limits to tell the order
-    np.savetxt(path, rows[:, 1:], "%.6f", delimiter=",")
-    done = convert(path, tmp_path / name, *to, "--quiet")
-    assert (done.code, done.out) == (0, "")
-    order, pelvis, rate = (line.split(": ", 3)[1:] for line in done.err.splitlines())
-    assert order[:2] == ["bare.csv", "joint order"]
-    assert order[2].startswith("motor: ")
-    assert pelvis[1:] == ["pelvis", "the columns before the joints, xyzw, assumed."]
-    assert rate[1:] == ["frame rate", "30 fps, assumed."]
-    done = convert(DEMO, tmp_path / name, *to, "--fps", "30", "--force")
-    assert (done.code, done.err) == (0, "")
-
-
-def test_an_assumed_set_of_23_joints_is_told_once(convert, tmp_path):
-    path = tmp_path / "bare.csv"
-    np.savetxt(path, np.zeros((5, 23)), "%.1f", delimiter=",")
-    done = convert(path, tmp_path / "m.npz", "--to", "mjlab")
-    assert done.code == 0
-    (told,) = (line for line in done.err.splitlines() if "joint order" in line)
-    assert "--joint-order motor-23dof" in told
-
-
 def test_the_summary_as_json(convert, tmp_path):
     out, base = tmp_path / "out.mcap", ("--base-time", "1970-01-01T00:01Z")
     told = json.loads(convert("demo", out, "--json", "--frames", "10:40", *base).out)
@@ -72,35 +43,6 @@ def test_the_summary_as_json(convert, tmp_path):
     assert told["size"] == out.stat().st_size
     assert told["counts"]["/tf"] == told["frames"] == 30
     assert told["start_ns"] == 60 * 10**9 + 333_333_333
-
-
-@pytest.mark.parametrize(("name", "out"), [("mjlab", "m.npz"), ("sonic", "m"), ("gmr", "m.pkl")])
-def test_what_another_program_reads(convert, tmp_path, name, out):
-    done = convert("demo", tmp_path / out, "--to", name, "--frames", "10:40", "--json")
-    assert (done.code, done.err) == (0, "")
-    told = json.loads(done.out)
-    n_frames, fps = (30, 30) if name == "gmr" else (49, 50)
-    assert told == {"path": str(tmp_path / out), "format": name, "frames": n_frames, "fps": fps}
-    motion = g1stream.load_motion(tmp_path / out)
-    assert (motion.n_frames, motion.fps) == (n_frames, fps)
-    assert convert("demo", tmp_path / out, "--to", name).code == 2
-    assert g1stream.load_motion(tmp_path / out).n_frames == n_frames
-
-
-def test_the_flags_of_what_another_program_reads(convert, tmp_path):
-    """Velocities and the robot's bodies."""
-    found = {}
-    for flags in ((), ("--velocities", "finite"), ("--urdf", "g1_29dof")):
-        path = tmp_path / "m.npz"
-        done = convert("demo", path, "--to", "mjlab", "--frames", "10:40", "--force", *flags)
-        assert done.code == 0
-        with np.load(path) as file:
-            found[flags] = file["joint_vel"], file["body_pos_w"][:, 15]
-    ours, finite, other = found.values()
-    assert np.abs(ours[0] - finite[0]).max() > 1e-3
-    assert (ours[1] == finite[1]).all()
-    assert (ours[0] == other[0]).all()
-    assert np.linalg.norm(ours[1] - other[1], axis=1).max() > 0.005  # the waists differ
 
 
 @pytest.mark.slow
@@ -132,8 +74,6 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
         ("demo {tmp}/a.npz --urdf g1_23dof", "the output"),
         ("demo {tmp}/a.mcap --velocities finite", "--to"),
         ("demo {tmp}/a --to sonic --ros2", "--to"),
-        ("demo {tmp}/a.csv --to mjlab", ".npz"),
-        ("demo {tmp}/a --to sonic --urdf g1_23dof", "23"),
         ("demo {tmp}/a.mcap --only joints", "tf"),
     ],
 )

@@ -282,13 +282,12 @@ class Convert(MotionPartFlags, QuietFlag):
     def _file_of_format(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.motion.writers import write_motion
         from g1stream.robot.model import G1
 
         assert self.to
         robot = G1.load(self.urdf)
         motion = self._motion(robot)
-        take = write_motion(
+        take = extension("write_motion")(
             motion,
             self.out,
             self.to,

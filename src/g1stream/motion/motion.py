@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.input_limits import NUMBER
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.spline import REACH, Spline
-from g1stream.optional import load_object
+from g1stream.optional import extension, load_object
 from g1stream.robot.joints import (
     JOINT_NAMES,
     MIRROR_SIGN,
@@ -55,7 +56,8 @@ __all__ = [
     "norm_warning",
 ]
 
-MOTION_SUFFIXES: Final = (".csv", ".npz")
+_WRITERS: Final = {"csv": "g1stream.motion.csv:write_csv", "npz": "g1stream.motion.npz:write_npz"}
+MOTION_SUFFIXES: Final = tuple(f".{name}" for name in _WRITERS)
 """Suffixes of the files that `Motion.save` writes."""
 ROOT_COLUMNS: Final = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW")
 """The columns of a CSV file that come before the joints."""
@@ -493,19 +495,22 @@ class Motion:
             RecordingError: the file exists, is the motion's source, or cannot be written.
         """
         path = Path(path)
-        if format is None and path.suffix.lower() not in MOTION_SUFFIXES:
+        name = format or path.suffix.lower()[1:]
+        if name in _WRITERS:
+            if velocities != "spline":
+                raise MotionError(f"The format {name} has no velocities.", "Remove --velocities.")
+            check_not_input(path, self.source, *(part.source for part in self.parts))
+            check_suffix(path, f"a file of the format {name}", f".{name}")
+            with complete_file(path, force=force) as temporary:
+                load_object(_WRITERS[name])(self, temporary)
+        elif format:
+            write_motion = extension("write_motion")
+            write_motion(self, path, format, robot=robot, velocities=velocities, force=force)
+        else:
             raise MotionError(
                 f"A motion cannot be saved as {path.name}.",
                 f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}, or give a format.",
             )
-        load_object("g1stream.motion.writers:write_motion")(
-            self,
-            path,
-            format or path.suffix.lower()[1:],
-            robot=robot,
-            velocities=velocities,
-            force=force,
-        )
         return path
 
     def _changed(self, what: str, **fields: Any) -> Motion:

@@ -1,11 +1,12 @@
 """Motion files: detection of the format, its reader, and the evidence about the file.
 
-To add a format, add one file with its reader, and one row to `FORMATS`.
+`FORMATS` has the formats of the core. It is asked first, then the table of the extra `formats`.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,26 +14,30 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from g1stream.errors import MotionError
+import numpy as np
+
+from g1stream.errors import ConfigError, MotionError
 from g1stream.files import begins_with, is_session, read_file
 from g1stream.input_limits import CSV_LINE, MOTION_FILE
-from g1stream.motion.motion import DEFAULT_FPS, Motion, check_fps
-from g1stream.optional import EXTENSIONS, load_object
+from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, check_fps, norm_warning
+from g1stream.optional import EXTENSIONS, extension, load_object
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from g1stream.robot.model import G1
-    from g1stream.types import JointOrder
+    from g1stream.types import Floats, JointOrder
 
 __all__ = [
     "BUNDLED_MOTIONS",
+    "FORMATS",
     "Evidence",
+    "Format",
     "MotionFile",
     "MotionReader",
+    "Poses",
     "find_motion",
-    "is_sonic",
     "load_motion",
 ]
 
@@ -41,9 +46,10 @@ BUNDLED_MOTIONS: Final = ("demo",)
 
 #: The start of a file that Git LFS has replaced by a pointer.
 _LFS: Final = b"version https://git-lfs"
-#: The start of files compressed with zlib or gzip.
-_COMPRESSED: Final = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
-_ARRAYS: Final = "g1stream.motion.arrays:open_arrays"
+#: Bytes that the header of our tables does not have.
+_NO_TEXT: Final = re.compile(rb"[^\t\r -~]")
+#: A frame rate in a file name.
+_RATE: Final = re.compile(r"(\d+(?:\.\d+)?)[ _-]?(?:hz|fps)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -147,24 +153,42 @@ class MotionFile:
         Raises:
             MotionError: it cannot be read, is empty, or has no supported format.
             RecordingError: it is a damaged recording.
-            ConfigError: the extra that reads it is not installed.
+            ConfigError: the extra that reads it needs a package.
         """
         if self.fps is not None:
             check_fps(self.fps, self.path.stem)
-        for one in FORMATS:
+        if reader := self._opened(FORMATS):
+            return reader
+        without = ""
+        try:
+            foreign: tuple[Format, ...] = extension("motion_formats")
+        except ConfigError:
+            foreign, without = (), " without the extra `formats`"
+        if reader := self._opened(foreign):
+            return reader
+        if not self.content:
+            raise MotionError(
+                f"{self.path.name}: the file is empty.", "Give a motion or a session."
+            )
+        names = dict.fromkeys(one.name for one in FORMATS + foreign)
+        raise MotionError(
+            f"{self.path.name} has no supported format{without}.",
+            f"Give a {', '.join(names)}: docs/formats.md says with which content.",
+        )
+
+    def _opened(self, formats: tuple[Format, ...]) -> MotionReader | None:
+        """The reader of the first format that the file has."""
+        for one in formats:
             if one.matches(self):
                 if self.member is not None and not one.several:
                     raise MotionError(
                         f"{self.path.name} is not a file of several motions.",
                         f"Give {self.path} without a name.",
                     )
-                reader: MotionReader = load_object(one.reader)(self)
-                return reader
-        raise MotionError(
-            f"{self.path.name} has no supported format.",
-            f"Give a {', '.join(one.name for one in FORMATS)}: docs/formats.md says with which "
-            "content.",
-        )
+                reader: MotionReader | None = load_object(one.reader)(self)
+                if reader:
+                    return reader
+        return None
 
     def load(self) -> Motion:
         """Read the motion; its warnings also name what is assumed. It raises what readers raise."""
@@ -179,14 +203,90 @@ class MotionFile:
         return replace(motion, warnings=motion.warnings + assumed) if assumed else motion
 
 
+@dataclass(frozen=True)
+class Poses:
+    """The poses in a motion file, with the joints in motor order. It is a `MotionReader`.
+
+    Attributes:
+        file: the file.
+        told: the evidence about everything but the frame rate.
+        joint_pos: (T, 29) rad.
+        root_pos: (T, 3) position of the pelvis, m; None if the file has none.
+        root_quat_wxyz: (T, 4), of any length above 0; None if the file has none.
+        fps: frame rate in the file; None if it has none.
+        warned: what was not used, filled in or corrected, a sentence each.
+        first_line: line of frame 0 in a text.
+    """
+
+    file: MotionFile
+    told: Evidence
+    joint_pos: Floats
+    root_pos: Floats | None
+    root_quat_wxyz: Floats | None
+    fps: float | None = None
+    warned: tuple[str, ...] = ()
+    first_line: int = 0
+
+    @property
+    def evidence(self) -> Evidence:
+        """The evidence, with that about the frame rate."""
+        used, assumed = dict(self.told.used), dict(self.told.assumed)
+        if self.file.fps is None and self.fps:
+            used["frame rate"] = f"{self.fps:g} fps, from the file"
+        elif self.file.fps is None:
+            assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
+        return replace(self.told, used=used, assumed=assumed)
+
+    def motion(self) -> Motion:
+        """The motion.
+
+        Raises:
+            MotionError: there is only one frame, a value is not finite, or a quaternion is zero.
+        """
+        file = self.file
+        warned = (*self.warned, *self._rate_hint(), *self._norm_warnings())
+        motion = Motion.from_arrays(
+            self.joint_pos,
+            self.root_pos,
+            self.root_quat_wxyz,
+            fps=file.fps or self.fps or DEFAULT_FPS,
+            name=file.member or file.path.stem,
+        )
+        warnings = tuple(f"{file.path.name}: {text}" for text in warned)
+        return replace(motion, source=file.path, sha256=file.sha256, warnings=warnings)
+
+    def _rate_hint(self) -> Iterator[str]:
+        hint = _RATE.search(self.file.member or self.file.path.stem)
+        if hint and not (self.fps or self.file.fps) and float(hint[1]) != DEFAULT_FPS:
+            yield (
+                f"{DEFAULT_FPS:g} fps is assumed, because the file has no frame rate; its name has "
+                f"{hint[0]}. Give --fps {hint[1]} if that is the rate."
+            )
+
+    def _norm_warnings(self) -> list[str]:
+        if self.root_quat_wxyz is None:
+            return []
+        norms = np.linalg.norm(self.root_quat_wxyz, axis=1)
+        worst = int(np.argmax(np.abs(norms - 1.0)))
+        where = f"frame {worst}"
+        if self.first_line:
+            where += f", line {self.first_line + worst}"
+        if norms.min() <= SMALLEST_QUAT:
+            raise MotionError(
+                f"{self.file.path.name}: the quaternion of {where} is zero.",
+                "Give every frame an orientation; without rotation w is 1 and the others are 0.",
+            )
+        return norm_warning(norms, where)
+
+
 class Format(NamedTuple):
     """A format of motion files.
 
     Attributes:
         name: its name, for messages.
-        reader: makes a `MotionReader` from a `MotionFile`: module and name, imported when a file
-            has this format.
-        matches: whether a file has this format, if no earlier format matches.
+        reader: makes a `MotionReader` from a `MotionFile`, or None if the file has another format:
+            module and name, imported when a file matches.
+        matches: whether a file may have this format, if no earlier format has it.
         several: files of this format may have several motions.
     """
 
@@ -194,10 +294,6 @@ class Format(NamedTuple):
     reader: str
     matches: Callable[[MotionFile], bool]
     several: bool = False
-
-
-def _begins(*starts: bytes) -> Callable[[MotionFile], bool]:
-    return lambda file: file.content.startswith(starts)
 
 
 def _is_recording(file: MotionFile) -> bool:
@@ -210,40 +306,36 @@ def _is_bag(file: MotionFile) -> bool:
     return file.data is None and any(begins_with(file.path, start) for start in starts)
 
 
-def is_sonic(path: Path) -> bool:
-    """Whether a path is a directory with SONIC's tables; False if it cannot be read."""
-    try:
-        return (path / "joint_pos.csv").is_file()
-    except OSError:  # for example, the name is too long
-        return False
-
-
 def _is_onnx(file: MotionFile) -> bool:
     return file.data is None and file.path.suffix.lower() == ".onnx"
 
 
-def _is_table(file: MotionFile) -> bool:
-    """Whether a file has a table's suffix, a first line like a table's, or is empty."""
-    named = file.path.suffix.lower() in (".csv", ".txt")
+def _is_directory(file: MotionFile) -> bool:
+    with suppress(OSError):  # for example, the name is too long
+        return file.data is None and file.path.is_dir()
+    return False
+
+
+def _is_npz(file: MotionFile) -> bool:
+    return not _is_directory(file) and file.content.startswith(b"PK")
+
+
+def _is_csv(file: MotionFile) -> bool:
+    """Whether the first line of a file is text with commas."""
+    if _is_directory(file):
+        return False
     first = file.content[:CSV_LINE].split(b"\n", 1)[0]
-    return named or b"," in first or not first
+    return b"," in first and not _NO_TEXT.search(first.removeprefix(b"\xef\xbb\xbf"))
 
 
 FORMATS: Final = (
     Format("session or MCAP", "g1stream.session.motions:open_played", _is_recording),
     Format("bag of ROS 2", EXTENSIONS["read_bag"], _is_bag),
-    Format(
-        "directory of SONIC",
-        "g1stream.motion.arrays:open_sonic",
-        lambda file: file.data is None and is_sonic(file.path),
-    ),
-    Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
-    Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
-    Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
     Format("policy that holds its motion (ONNX)", EXTENSIONS["read_policy"], _is_onnx),
-    Format("CSV", "g1stream.motion.arrays:open_table", _is_table),
+    Format("NPZ", "g1stream.motion.npz:open_npz", _is_npz, several=True),
+    Format("CSV", "g1stream.motion.csv:open_csv", _is_csv, several=True),
 )
-"""The supported formats for reading."""
+"""The formats that the core reads."""
 
 
 def find_motion(

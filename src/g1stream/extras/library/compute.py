@@ -22,14 +22,16 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError
+from g1stream.extras.formats.table import WRITTEN
+from g1stream.extras.formats.write import write_motion
 from g1stream.extras.library.files import content_hash, local_copy, motions_at, stem
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
-from g1stream.motion.motion import Motion
+from g1stream.motion.motion import MOTION_SUFFIXES, Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.motion.writers import FORMATS, write_motion
+from g1stream.optional import load_object
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -403,11 +405,14 @@ def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     from g1stream.app.convert import Conversion, convert
 
     robot = _robot(case.config)
-    if case.format in FORMATS:
-        path = _output(motion, case, rows.motion.key, FORMATS[case.format].suffix)
+    written = WRITTEN.get(case.format)
+    suffix = load_object(written).suffix if written else f".{case.format}"
+    path = _output(motion, case, rows.motion.key, suffix)
+    if written:
         write_motion(motion, path, case.format, robot=robot, force=True)
+    elif suffix in MOTION_SUFFIXES:
+        motion.save(path, force=True)
     else:
-        path = _output(motion, case, rows.motion.key, f".{case.format}")
         convert(motion, path, Conversion(force=True), robot=robot)
     rows.motion.output = str(path.relative_to(case.out))
 

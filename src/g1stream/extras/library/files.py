@@ -10,10 +10,11 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError
+from g1stream.extras.formats.arrays import motions_in
+from g1stream.extras.formats.table import is_sonic
 from g1stream.files import output_errors
 from g1stream.input_limits import MOTION_FILE
-from g1stream.motion.arrays import motions_in
-from g1stream.motion.readers import find_motion, is_sonic
+from g1stream.motion.readers import find_motion
 from g1stream.optional import import_extra
 
 if TYPE_CHECKING:

@@ -16,13 +16,14 @@ import pytest
 
 import g1stream
 from g1stream.errors import MotionError
-from g1stream.motion.arrays import names_in_order, read_arrays
+from g1stream.extras.formats.arrays import read_arrays
+from g1stream.extras.formats.orders import names_in_order
 from g1stream.motion.readers import find_motion
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import xyzw_from_wxyz
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parents[2] / "data"
 
 #: Column of each motor in an array of Isaac Lab.
 ISAACLAB = [
@@ -285,7 +286,7 @@ def test_lists_that_share_lists_are_not_unfolded(pkl, monkeypatch):
     value = [0.0] * 100
     for _ in range(8):
         value = [value] * 100
-    monkeypatch.setattr("g1stream.motion.pickles.UNPACKED", 2**20)
+    monkeypatch.setattr("g1stream.extras.formats.pickles.UNPACKED", 2**20)
     with pytest.raises(MotionError, match="1 MiB"):
         opened(pkl(pickle.dumps({"dof": value})))
 

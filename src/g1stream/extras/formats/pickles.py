@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.input_limits import PICKLE_VALUES, UNPACKED
+from g1stream.input_limits import UNPACKED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Unread", "read_pickle", "read_torch"]
 
+#: Numbers, texts and containers outside arrays; lists can contain a list repeatedly.
+_VALUES: Final = 5_000_000
 #: Deepest nesting of arrays in containers; bytes counted for a value in one or for a type.
 _DEPTH: Final = 4
-_VALUE: Final = UNPACKED // PICKLE_VALUES
+_VALUE: Final = UNPACKED // _VALUES
 _KIND: Final = UNPACKED // 1000
 #: The types of numbers and strings in arrays; strings may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")

@@ -1,4 +1,4 @@
-"""Motion files of named arrays: NPZ, NPY, pickles, PyTorch files, and the columns of a CSV.
+"""The motion in named arrays: those of an NPZ, a pickle or a PyTorch file, the columns of a table.
 
 The names and shapes of arrays tell what they contain. Where a file is not explicit, evidence
 decides; if it is ambiguous, an error asks for a flag. All formats have the same checks.
@@ -6,30 +6,30 @@ decides; if it is ambiguous, an error asks for a flag. All formats have the same
 
 from __future__ import annotations
 
-import io
-import re
-import warnings
-import zipfile
-import zlib
 from collections import Counter
-from dataclasses import replace
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.input_limits import CSV_LINE, NUMBER, UNPACKED
-from g1stream.motion.csv import read_csv
-from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, norm_warning
-from g1stream.motion.pickles import Unread, read_pickle, read_torch
-from g1stream.motion.readers import Evidence
-from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS
+from g1stream.extras.formats.orders import (
+    MAY_LACK,
+    WRISTS,
+    in_motor_order,
+    layouts,
+    names_in_order,
+    set_of,
+)
+from g1stream.extras.formats.pickles import Unread
+from g1stream.input_limits import NUMBER, UNPACKED
+from g1stream.motion.motion import SMALLEST_QUAT
+from g1stream.motion.readers import Evidence, Poses
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
 from g1stream.text import listed
-from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -39,16 +39,7 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = [
-    "SONIC_FILES",
-    "ArrayFile",
-    "motions_in",
-    "names_in_order",
-    "open_arrays",
-    "open_sonic",
-    "open_table",
-    "read_arrays",
-]
+__all__ = ["READ", "members", "poses_of"]
 
 # Names of arrays in the files of other programs, in lower case and without the suffix `_w`, which
 # means the world frame.
@@ -84,11 +75,8 @@ _NOT_MISSED: Final = ("_vel", "contact", "pose_aa", "smpl", "body_pos", "body_qu
 _HUMAN: Final = {"poses", "pose_aa", "betas"}
 #: Numbers of a pose, before the angles, or of an object, behind them.
 _POSE: Final = 7
-_WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
-_G1_23DOF: Final = JOINT_SETS[1]
-#: Joints that a motion may lack, because a retargeting tool or a kind of G1 lacks them.
-_MAY_LACK: Final = {*_WRISTS, *(JOINT_NAMES[i] for i in _G1_23DOF.absent)}
-_READ: Final = "docs/formats.md lists the supported names and shapes of arrays."
+READ: Final = "docs/formats.md lists the supported names and shapes of arrays."
+"""Remedy for a file without the arrays of a motion."""
 #: Most numbers in an array that is converted to 64 bits.
 _NUMBERS: Final = UNPACKED // 8
 #: If the pelvis leans by more than the first angle on average, and by less than the second with w
@@ -115,23 +103,6 @@ _ARMS: Final = 1e-3
 #: An angle counts as beyond a limit if it is so far beyond it, rad; retargeting tools exceed
 #: limits by as much.
 _EXCESS: Final = 0.02
-#: A frame rate in a file name.
-_RATE: Final = re.compile(r"(\d+(?:\.\d+)?)[ _-]?(?:hz|fps)", re.IGNORECASE)
-
-
-#: Arrays in a directory of SONIC, and their columns per body.
-_SONIC_TABLES: Final = {
-    "joint_pos": 0,
-    "joint_vel": 0,
-    "body_pos": 3,
-    "body_quat": 4,
-    "body_lin_vel": 3,
-    "body_ang_vel": 3,
-}
-SONIC_FILES: Final = (*(f"{name}.csv" for name in _SONIC_TABLES), "metadata.txt", "info.txt")
-"""The files in a directory of SONIC."""
-_SONIC_FPS: Final = 50.0
-_SONIC_BODIES: Final = 14
 
 
 class _Root(NamedTuple):
@@ -176,8 +147,8 @@ class _Order(NamedTuple):
     assumed: bool = False
 
 
-class ArrayFile:
-    """A motion file of named arrays.
+def poses_of(file: MotionFile, kind: str, content: Any, first_line: int = 0) -> Poses:
+    """Find the motion in named arrays.
 
     Args:
         file: the source of the arrays.
@@ -186,46 +157,23 @@ class ArrayFile:
         first_line: line of frame 0 in a table.
 
     Raises:
-        MotionError: the file has no such motion. Other errors are only raised by `evidence` and
-            `motion`.
+        MotionError: the file has no such motion, an array has a wrong shape, or the joint order is
+            ambiguous.
     """
+    return _Arrays(file, kind, content, first_line).poses()
 
-    def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int = 0) -> None:
+
+class _Arrays:
+    """The arrays of a file, and what they are; arguments as of `poses_of`."""
+
+    def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int) -> None:
         self._file, self._kind, self._first_line = file, kind, first_line
         self._arrays = self._of_one_motion(content, file.member)
         self._by_name = {_plain(name): name for name in reversed(self._arrays)}
         self._read: dict[str, None] = {}  # names of the arrays that were used, in order
 
-    def motion(self) -> Motion:
-        """The motion in the file, its joints in motor order.
-
-        Raises:
-            MotionError: an array is missing or has a wrong shape, or the joint order is ambiguous.
-        """
-        order, root = self._order, self._root
-        if lacking := [name for name in self._absent if name not in _MAY_LACK]:
-            unused = f"; these are not used: {listed(self._not_used)}" * bool(self._not_used)
-            raise self._error(
-                f"it lacks the joints {', '.join(lacking)}{unused}",
-                "Give a motion of all joints; only wrists, waist roll and pitch may be missing.",
-            )
-        warned = tuple(f"{self._file.path.name}: {text}" for text in self._warnings())
-        motion = Motion.from_arrays(
-            _in_motor_order(self._columns.angles, order.columns),
-            root and root.pos,
-            root and root.quat_wxyz,
-            fps=self._file.fps or self._fps or DEFAULT_FPS,
-            name=self._file.member or self._file.path.stem,
-        )
-        return replace(motion, source=self._file.path, sha256=self._file.sha256, warnings=warned)
-
-    @cached_property
-    def evidence(self) -> Evidence:
-        """The use of each array, and the reason.
-
-        Raises:
-            MotionError: as `motion`.
-        """
+    def poses(self) -> Poses:
+        """The poses in the file, its joints in motor order, and the evidence."""
         order, root = self._order, self._root
         used: dict[str, str] = {}
         assumed: dict[str, str] = {}
@@ -234,17 +182,28 @@ class ArrayFile:
             (assumed if root.assumed else used)["pelvis"] = root.source
         else:
             assumed["pelvis"] = "upright at the origin"
-        if self._file.fps is None and self._fps:
-            used["frame rate"] = f"{self._fps:g} fps, from the file"
-        elif self._file.fps is None:
-            assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
-        kind = self._kind
+        fps, kind = self._fps if self._file.fps is None else None, self._kind
         if not self._first_line:
             kind += f" with {listed([name for name in self._read if name in self._arrays])}"
-        return Evidence({"file": kind, **used}, assumed, self._not_used, self._absent)
+        if lacking := [name for name in self._absent if name not in MAY_LACK]:
+            unused = f"; these are not used: {listed(self._not_used)}" * bool(self._not_used)
+            raise self._error(
+                f"it lacks the joints {', '.join(lacking)}{unused}",
+                "Give a motion of all joints; only wrists, waist roll and pitch may be missing.",
+            )
+        return Poses(
+            self._file,
+            Evidence({"file": kind, **used}, assumed, self._not_used, self._absent),
+            in_motor_order(self._columns.angles, order.columns),
+            root and root.pos,
+            root and root.quat_wxyz,
+            fps,
+            tuple(self._warnings()),
+            self._first_line,
+        )
 
     def _warnings(self) -> Iterable[str]:
-        """What was not used, filled in or corrected, a sentence each."""
+        """What was not used or filled in, a sentence each."""
         robot, absent = self._file.robot, self._absent
         missing = [JOINT_NAMES.index(name) for name in absent]
         if absent and (robot is None or robot.present[missing].all()):
@@ -257,27 +216,6 @@ class ArrayFile:
                 f"the joint order {how}; {self._order.why}. Give --joint-order {self._order.other} "
                 "if that is the order."
             )
-        hint = _RATE.search(self._file.member or self._file.path.stem)
-        if hint and not (self._fps or self._file.fps) and float(hint[1]) != DEFAULT_FPS:
-            yield (
-                f"{DEFAULT_FPS:g} fps is assumed, because the file has no frame rate; its name has "
-                f"{hint[0]}. Give --fps {hint[1]} if that is the rate."
-            )
-        if self._root:
-            yield from self._norm_warnings(np.linalg.norm(self._root.quat_wxyz, axis=1))
-
-    def _norm_warnings(self, norms: Floats) -> Iterable[str]:
-        """A warning about quaternion norms (T,) that are not 1; an error for a norm of 0."""
-        worst = int(np.argmax(np.abs(norms - 1.0)))
-        where = f"frame {worst}"
-        if self._first_line:
-            where += f", line {self._first_line + worst}"
-        if norms.min() <= SMALLEST_QUAT:
-            raise self._error(
-                f"the quaternion of {where} is zero",
-                "Give every frame an orientation; without rotation w is 1 and the others are 0.",
-            )
-        yield from norm_warning(norms, where)
 
     @cached_property
     def _absent(self) -> tuple[str, ...]:
@@ -326,11 +264,11 @@ class ArrayFile:
         if not name:
             human = " It is a motion of a human body model." * bool(_HUMAN & self._arrays.keys())
             raise self._error(
-                f"no array has joint angles; it has {listed(sorted(self._arrays))}.{human}", _READ
+                f"no array has joint angles; it has {listed(sorted(self._arrays))}.{human}", READ
             )
         table = self._numbers(name, 2)
         width = table.shape[1]
-        counts = [len(self._names)] if self._names else [N_JOINTS, N_JOINTS - len(_WRISTS)]
+        counts = [len(self._names)] if self._names else [N_JOINTS, N_JOINTS - len(WRISTS)]
         for n_joints in counts:
             if width == n_joints:
                 return _Columns(name, table)
@@ -362,8 +300,8 @@ class ArrayFile:
         if self._names:
             return _Order(self._names, "named by the file")
         angles, asked = self._columns.angles, self._file.joint_order
-        names = _layouts(angles.shape[1])
-        told = {order: f"{order}{_set_of(joints)}" for order, joints in names.items()}
+        names = layouts(angles.shape[1])
+        told = {order: f"{order}{set_of(joints)}" for order, joints in names.items()}
         if asked and asked not in names:
             raise self._error(
                 f"--joint-order {asked} is for {len(names_in_order(asked))} joints, and "
@@ -378,7 +316,7 @@ class ArrayFile:
             found = self._bodies(bodies, 3)[few]
             base = _Root(root.pos[few], root.quat_wxyz[few], "")
             near = {
-                order: _distance(_in_motor_order(angles[few], joints), found, base)
+                order: _distance(in_motor_order(angles[few], joints), found, base)
                 for order, joints in names.items()
             }
             best, other, *_ = sorted(names, key=lambda order: near[order])
@@ -391,7 +329,7 @@ class ArrayFile:
                 )
         few = _some(len(angles), _MANY_FRAMES)
         beyond = {
-            order: _share_beyond_limits(_in_motor_order(angles[few], joints))
+            order: _share_beyond_limits(in_motor_order(angles[few], joints))
             for order, joints in names.items()
         }
         robot = self._file.robot
@@ -550,8 +488,8 @@ class ArrayFile:
     def _of_one_motion(self, content: Any, member: str | None) -> dict[str, Any]:
         """The arrays of the file, or of the selected or only motion in a dict of motions."""
         if not isinstance(content, dict) or not content:
-            raise self._error("it has no named arrays", _READ)
-        names = _members(content)
+            raise self._error("it has no named arrays", READ)
+        names = members(content)
         if not names:
             if member is None:
                 return content
@@ -572,102 +510,11 @@ class ArrayFile:
         return MotionError(f"{self._file.path.name}{where}: {cause}.", remedy)
 
 
-def open_table(file: MotionFile) -> ArrayFile:
-    """Open a CSV.
-
-    Raises:
-        MotionError: it cannot be read.
-    """
-    table = read_csv(file.content, file.path.name)
-    return ArrayFile(file, f"CSV, {table.about}", table.arrays, table.first_line)
-
-
-def open_arrays(file: MotionFile) -> ArrayFile:
-    """Open an NPZ, an NPY, a PyTorch file, or a pickle, plain or from joblib.
-
-    Raises:
-        MotionError: it cannot be read, or has no such motion.
-    """
-    return ArrayFile(file, *_content(file))
-
-
-def open_sonic(file: MotionFile) -> ArrayFile:
-    """Open a directory of SONIC: tables with a header, 50 Hz.
-
-    Joints are in Isaac Lab's order, unless the positions of several bodies show another one.
-
-    Raises:
-        MotionError: a table cannot be read.
-    """
-    arrays: dict[str, Any] = {"fps": _SONIC_FPS}
-    digest = b""
-    for name in ("joint_pos", "body_pos", "body_quat"):
-        path = file.path / f"{name}.csv"
-        if name != "joint_pos" and not path.exists():
-            continue
-        one = replace(file, path=path)
-        values = _numbers_below_header(one.content, f"{file.path.name}/{path.name}")
-        if width := _SONIC_TABLES[name]:
-            if values.shape[1] % width:
-                raise MotionError(
-                    f"{file.path.name}/{path.name} has {values.shape[1]} columns.",
-                    f"Give it {width} columns for each body.",
-                )
-            values = values.reshape(len(values), -1, width)
-        arrays[name] = values
-        digest += one.content
-    bodies, quats = arrays.get("body_pos"), arrays.get("body_quat")
-    if bodies is None and quats is not None:  # SONIC reads this, too
-        arrays["body_pos"] = np.zeros((*quats.shape[:2], 3))
-    tells = bodies is not None and bodies.shape[1] >= _SONIC_BODIES
-    if not tells and file.joint_order is None:
-        arrays["joint_names"] = names_in_order("isaaclab")
-    return ArrayFile(replace(file, data=digest), "directory of SONIC", arrays)
-
-
-def _numbers_below_header(content: bytes, name: str) -> Floats:
-    """The numbers (T, N) of a CSV whose first line names its columns.
-
-    Raises:
-        MotionError: it has no numbers.
-    """
-    _, _, rows = content.partition(b"\n")
-    try:
-        if not rows.strip() or max(map(len, content.split(b"\n"))) > CSV_LINE:
-            raise ValueError
-        return np.loadtxt(io.BytesIO(rows), delimiter=",", comments=None, ndmin=2)
-    except ValueError:
-        raise MotionError(
-            f"{name} is not a table of numbers below a header.",
-            "Give each line a number for each column that the first line names.",
-        ) from None
-
-
-def motions_in(file: MotionFile) -> tuple[str, ...]:
-    """Names of the motions in a pickle or PyTorch file; empty if it has only one motion.
-
-    Raises:
-        MotionError: it cannot be read.
-    """
-    return _members(_content(file)[1])
-
-
-def _members(content: Any) -> tuple[str, ...]:
+def members(content: Any) -> tuple[str, ...]:
+    """Names of the motions in a dict of motions; empty if it is one motion."""
     if isinstance(content, dict) and all(isinstance(one, dict) for one in content.values()):
         return tuple(content)
     return ()
-
-
-def _content(file: MotionFile) -> tuple[str, Any]:
-    """Kind and content of a file, as `read_arrays` returns them.
-
-    Raises:
-        MotionError: it cannot be read.
-    """
-    try:
-        return read_arrays(file.content)
-    except ValueError as error:
-        raise MotionError(f"{file.path.name}: {error}.", _READ) from error
 
 
 def _plain(name: str) -> str:
@@ -685,50 +532,6 @@ def _unit_columns(pose: NDArray[Any]) -> list[int]:
     some = pose[_some(len(pose), _MANY_FRAMES)]
     norms = {first: np.linalg.norm(some[:, first : first + 4], axis=1) for first in (3, 0)}
     return [first for first, norm in norms.items() if (np.abs(norm - 1.0) < _UNIT).all()]
-
-
-@cache
-def names_in_order(order: JointOrder) -> tuple[str, ...]:
-    """The names of the 29 joints in an order, or of 23. Isaac Lab's is breadth first."""
-    if order == "motor":
-        return JOINT_NAMES
-    if order == "motor-23dof":
-        return tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(_G1_23DOF.present))
-    robot = G1.default()
-    link_of = {int(joint): link for link, joint in enumerate(robot.joint_of_link) if joint >= 0}
-    moving = [0] * len(robot.link_names)  # number of joints from the pelvis to a link
-    for link in np.concatenate(robot.levels).tolist():
-        moving[link] = moving[robot.parent[link]] + int(robot.joint_of_link[link] >= 0)
-    ranked = sorted(range(N_JOINTS), key=lambda joint: (moving[link_of[joint]], joint))
-    return tuple(JOINT_NAMES[joint] for joint in ranked)
-
-
-def _layouts(n_joints: int) -> dict[JointOrder, tuple[str, ...]]:
-    """The joint in each of 29 or 23 columns without names, in the orders that they may have."""
-    orders = {order: names_in_order(order) for order in get_args(JointOrder)}
-    if n_joints < N_JOINTS:
-        without = {o: tuple(name for name in orders[o] if name not in _WRISTS) for o in orders}
-        return without | {"motor-23dof": orders["motor-23dof"]}
-    return {order: names for order, names in orders.items() if len(names) == n_joints}
-
-
-def _set_of(names: tuple[str, ...]) -> str:
-    """Which of the joints these are, for messages; "" for all."""
-    if len(names) == N_JOINTS:
-        return ""
-    wristless = not set(_WRISTS).intersection(names)
-    return ", without the six wrists" if wristless else f", the joints of {_G1_23DOF.name}"
-
-
-def _in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:
-    """(T, 29) angles of the joints `names` in motor order; 0 for the others."""
-    if names == JOINT_NAMES:
-        return angles
-    ordered = np.zeros((len(angles), N_JOINTS))
-    for joint, name in enumerate(JOINT_NAMES):
-        if name in names:
-            ordered[:, joint] = angles[:, names.index(name)]
-    return ordered
 
 
 def _distance(joint_pos: Floats, bodies: NDArray[Any], root: _Root) -> tuple[float, str]:
@@ -757,56 +560,3 @@ def _lean(quat_wxyz: Floats) -> float:
     quat = quat_wxyz[np.linalg.norm(quat_wxyz, axis=1) > SMALLEST_QUAT]
     up = quat_rotate(quat_normalize(quat), np.array([0.0, 0.0, 1.0]))[:, 2]
     return float(np.arccos(np.clip(up, -1.0, 1.0)).mean()) if len(up) else 0.0
-
-
-def read_arrays(data: bytes) -> tuple[str, Any]:
-    """Kind and content of a file. Nothing in it is executed.
-
-    Raises:
-        ValueError: it is damaged, or larger than 512 MiB unpacked.
-    """
-    if data.startswith(b"\x93NUMPY"):
-        return "NPY", {"qpos": _npy(data)}
-    if not data.startswith(b"PK"):
-        return "pickle", read_pickle(data)
-    members = _zip_members(data)
-    if any(name.endswith("/data.pkl") for name in members):
-        return "file of PyTorch", read_torch(members)
-    return "NPZ", {name.removesuffix(".npy"): _npy(content) for name, content in members.items()}
-
-
-def _zip_members(data: bytes) -> dict[str, bytes]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = archive.infolist()
-            # zipfile itself reads at most this size of a member.
-            if sum(member.file_size for member in members) > UNPACKED:
-                raise ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
-            plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-            if any(member.compress_type not in plain for member in members):
-                raise ValueError("it has a compression other than deflate")
-            return {member.filename: archive.read(member) for member in members}
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ValueError("it is damaged or incomplete") from error
-    except (NotImplementedError, RuntimeError) as error:  # encrypted, or a newer ZIP version
-        raise ValueError(str(error)) from error
-
-
-def _npy(data: bytes) -> Any:
-    """The array in an NPY file; an array of Python objects is read with `read_pickle`."""
-    file = io.BytesIO(data)
-    if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("an array has another NPY version than 1.0")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # numpy warns about headers written by Python 2
-        try:
-            shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
-        except Exception as error:  # numpy evaluates the header as Python, with many errors
-            raise ValueError("the header of an array is damaged") from error
-    if dtype.hasobject:
-        return read_pickle(data[file.tell() :])
-    try:
-        values = np.frombuffer(data, dtype, offset=file.tell())
-        return values.reshape(shape, order="F" if column_major else "C")
-    except ValueError as error:
-        raise ValueError("an array is damaged or incomplete") from error

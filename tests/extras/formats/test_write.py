@@ -14,15 +14,18 @@ from scipy.spatial.transform import Rotation
 
 import g1stream
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
-from g1stream.motion.arrays import names_in_order
+from g1stream.extras.formats.decimals import write_rows
+from g1stream.extras.formats.orders import names_in_order
+from g1stream.extras.formats.table import WRITTEN
 from g1stream.motion.trajectory import Trajectory
-from g1stream.motion.writers import FORMATS, _write_rows
+from g1stream.optional import load_object
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.types import MotionFormat
 
-SUFFIX = {name: one.suffix for name, one in FORMATS.items()}
+OUTPUTS = {name: load_object(where) for name, where in WRITTEN.items()}
+SUFFIX = {name: one.suffix for name, one in OUTPUTS.items()}
 
 
 class Body(NamedTuple):
@@ -92,7 +95,7 @@ def arrays(*arguments, **how):
 
 
 def test_the_formats_of_others_are_those_that_the_flag_takes():
-    assert set(get_args(MotionFormat)) == FORMATS.keys() - {"csv", "npz"}
+    assert set(get_args(MotionFormat)) == WRITTEN.keys()
 
 
 @pytest.mark.parametrize(
@@ -178,10 +181,10 @@ def test_quaternions_are_continuous(make_motion, tmp_path):
     assert ((found[1:] * found[:-1]).sum(axis=-1) > 0.9).all()
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", OUTPUTS)
 def test_what_is_written_is_read_back(wild_motion, tmp_path, robot, name):
     """Angles within 1e-6 rad, bodies within 0.01 mm, the height as it was."""
-    form = FORMATS[name]
+    form = OUTPUTS[name]
     motion = replace(wild_motion, fps=60.0)
     expected = motion.resample(form.fps) if form.fps else motion
     found = g1stream.load_motion(
@@ -308,7 +311,7 @@ def test_numbers_in_text_across_blocks(tmp_path):
     values = np.arange(-3000, 3000).reshape(2000, 3) / 7
     values[:2] = [-0.0, 0.0, 0.5], [0.9999997, -1e-6, 9998.9999999]
     with (path := tmp_path / "rows.csv").open("wb") as file:
-        _write_rows(file, values, "motion")
+        write_rows(file, values, "motion")
     expected = "".join(",".join(f"{x + 0.0:.6f}" for x in row) + "\n" for row in values.tolist())
     assert path.read_text() == expected
 

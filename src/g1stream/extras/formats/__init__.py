@@ -1,0 +1,1 @@
+"""Motion files of other programs: read by what is in them, and written for training."""

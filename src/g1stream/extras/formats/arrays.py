@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from g1stream.errors import MotionError
-from g1stream.extras.formats.evidence import READ, members, poses_of
+from g1stream.extras.formats.evidence import READ, poses_of
 from g1stream.extras.formats.pickles import read_pickle, read_torch
 from g1stream.motion.npz import read_npy, unzip
+from g1stream.text import listed
 
 if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile, Poses
@@ -21,7 +22,32 @@ def open_arrays(file: MotionFile) -> Poses:
     Raises:
         MotionError: it cannot be read, or has no such motion.
     """
-    return poses_of(file, *_content(file))
+    kind, content = _content(file)
+    return poses_of(file, kind, _one_motion(file, content))
+
+
+def _one_motion(file: MotionFile, content: Any) -> dict[str, Any]:
+    """The arrays of the file, or of the selected or only motion in a dict of motions."""
+    member, name = file.member, file.path.name
+    if not isinstance(content, dict) or not content:
+        raise MotionError(f"{name}: it has no named arrays.", READ)
+    names = _members(content)
+    if not names:
+        if member is None:
+            return content
+        raise MotionError(
+            f"{name}: it is one motion without the name {member}.", "Remove the name."
+        )
+    if member is None and len(names) == 1:
+        (member,) = names
+    if member not in names:
+        count = f"{len(names)} motions" if len(names) > 1 else "one motion"
+        has = f"it has {count}" + (f", and none with the name {member}" if member else "")
+        raise MotionError(
+            f"{name}: {has}: {listed(names)}.", f"Give one by its name: {file.path}:{names[0]}"
+        )
+    arrays: dict[str, Any] = content[member]
+    return arrays
 
 
 def motions_in(file: MotionFile) -> tuple[str, ...]:
@@ -30,7 +56,14 @@ def motions_in(file: MotionFile) -> tuple[str, ...]:
     Raises:
         MotionError: it cannot be read.
     """
-    return members(_content(file)[1])
+    return _members(_content(file)[1])
+
+
+def _members(content: Any) -> tuple[str, ...]:
+    """Names of the motions in a dict of motions; empty if it is one motion."""
+    if isinstance(content, dict) and all(isinstance(one, dict) for one in content.values()):
+        return tuple(content)
+    return ()
 
 
 def _content(file: MotionFile) -> tuple[str, Any]:

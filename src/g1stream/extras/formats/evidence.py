@@ -16,18 +16,20 @@ from g1stream.errors import MotionError
 from g1stream.extras.formats.orders import (
     MAY_LACK,
     WRISTS,
+    Order,
     in_motor_order,
     layouts,
     names_in_order,
+    order_by_bodies,
+    order_by_limits,
     set_of,
+    some_frames,
 )
 from g1stream.extras.formats.pickles import Unread
 from g1stream.input_limits import NUMBER, UNPACKED
 from g1stream.motion.motion import SMALLEST_QUAT
 from g1stream.motion.readers import Evidence, Poses
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
 from g1stream.text import listed
 
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["READ", "members", "poses_of"]
+__all__ = ["READ", "poses_of"]
 
 # Names of arrays in the files of other programs, in lower case and without the suffix `_w`, which
 # means the world frame.
@@ -87,22 +89,6 @@ _UPRIGHT: Final = 0.8
 _ON_FLOOR: Final = (0.03, 0.4)
 #: Norms within this of 1 count as unit quaternions.
 _UNIT: Final = 0.02
-#: Numbers of frames that are used to compare bodies, and limits and norms.
-_FRAMES: Final = 50
-_MANY_FRAMES: Final = 5000
-#: Bodies decide the joint order if its links are within this distance of them, mm, and within
-#: this fraction of the distance in the other order.
-_NEAR: Final = 50.0
-_NEARER: Final = 0.5
-#: Limits decide the joint order if the other order has more than this fraction of the angles
-#: beyond them, and more than this multiple.
-_BEYOND: Final = 1e-2
-_TIMES: Final = 10.0
-#: The same fraction for two sets of 23 joints in motor order, which differ in waist and arms only.
-_ARMS: Final = 1e-3
-#: An angle counts as beyond a limit if it is so far beyond it, rad; retargeting tools exceed
-#: limits by as much.
-_EXCESS: Final = 0.02
 
 
 class _Root(NamedTuple):
@@ -133,42 +119,30 @@ class _Columns(NamedTuple):
     rest: int = 0
 
 
-class _Order(NamedTuple):
-    """The joint in each column, and the evidence for it.
-
-    Attributes:
-        other: a likely other order, if joint limits are weak evidence against it; otherwise "".
-        assumed: there is no evidence.
-    """
-
-    columns: tuple[str, ...]
-    why: str
-    other: str = ""
-    assumed: bool = False
-
-
-def poses_of(file: MotionFile, kind: str, content: Any, first_line: int = 0) -> Poses:
+def poses_of(file: MotionFile, kind: str, arrays: dict[str, Any], first_line: int = 0) -> Poses:
     """Find the motion in named arrays.
 
     Args:
         file: the source of the arrays.
         kind: kind of file, for messages.
-        content: the arrays by name, or a dict of them by motion.
+        arrays: the arrays by name.
         first_line: line of frame 0 in a table.
 
     Raises:
         MotionError: the file has no such motion, an array has a wrong shape, or the joint order is
             ambiguous.
     """
-    return _Arrays(file, kind, content, first_line).poses()
+    return _Arrays(file, kind, arrays, first_line).poses()
 
 
 class _Arrays:
     """The arrays of a file, and what they are; arguments as of `poses_of`."""
 
-    def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int) -> None:
+    def __init__(
+        self, file: MotionFile, kind: str, arrays: dict[str, Any], first_line: int
+    ) -> None:
         self._file, self._kind, self._first_line = file, kind, first_line
-        self._arrays = self._of_one_motion(content, file.member)
+        self._arrays = arrays
         self._by_name = {_plain(name): name for name in reversed(self._arrays)}
         self._read: dict[str, None] = {}  # names of the arrays that were used, in order
 
@@ -289,19 +263,12 @@ class _Arrays:
         )
 
     @cached_property
-    def _order(self) -> _Order:
-        """The joint order by the names in the file, by the flag, or by evidence.
-
-        If the file has body positions, forward kinematics in the right order puts the links at the
-        bodies. Otherwise the order is the one with the fewest angles beyond the joint limits. If
-        motor order and Isaac Lab's fit, a table without a header is in motor order. Of two sets of
-        23 joints that fit equally, the robot's is assumed, or the one without wrists.
-        """
+    def _order(self) -> Order:
+        """The joint order by the names in the file, by the flag, by bodies, or by joint limits."""
         if self._names:
-            return _Order(self._names, "named by the file")
+            return Order(self._names, "named by the file")
         angles, asked = self._columns.angles, self._file.joint_order
         names = layouts(angles.shape[1])
-        told = {order: f"{order}{set_of(joints)}" for order, joints in names.items()}
         if asked and asked not in names:
             raise self._error(
                 f"--joint-order {asked} is for {len(names_in_order(asked))} joints, and "
@@ -309,57 +276,20 @@ class _Arrays:
                 f"Give one of {', '.join(names)}.",
             )
         if asked:
-            return _Order(names[asked], f"{told[asked]}, as requested")
+            return Order(names[asked], f"{asked}{set_of(names[asked])}, as requested")
         root, bodies = self._root, self._first(_BODY_POSITIONS)
         if root and bodies:
-            few = _some(len(angles), _FRAMES)
-            found = self._bodies(bodies, 3)[few]
-            base = _Root(root.pos[few], root.quat_wxyz[few], "")
-            near = {
-                order: _distance(in_motor_order(angles[few], joints), found, base)
-                for order, joints in names.items()
-            }
-            best, other, *_ = sorted(names, key=lambda order: near[order])
-            # The pelvis alone is equally near in both orders.
-            if near[best][0] < min(_NEAR, _NEARER * near[other][0]):
-                return _Order(
-                    names[best],
-                    f"{told[best]}: bodies are {near[best][0]:.1f} mm from the links of "
-                    f"{near[best][1]}, in {other} order {near[other][0]:.0f} mm",
-                )
-        few = _some(len(angles), _MANY_FRAMES)
-        beyond = {
-            order: _share_beyond_limits(in_motor_order(angles[few], joints))
-            for order, joints in names.items()
-        }
-        robot = self._file.robot
-        own = robot and tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(robot.present))
-        ranked = sorted(names, key=lambda order: (beyond[order], names[order] != own))
-        best = ranked[0]
-        fits = [
-            order
-            for order in ranked
-            if beyond[order]
-            <= max(_BEYOND if "isaaclab" in (best, order) else _ARMS, _TIMES * beyond[best])
-        ]
-        assumed = len(fits) > 1
-        if assumed and "isaaclab" in fits:
-            if not self._first_line:
-                shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
-                raise self._error(
-                    f"the joint order is ambiguous: {shares} are beyond the joint limits",
-                    f"Give --joint-order {' or '.join(names)}; motor order is that of LowCmd, the "
-                    "URDF and MuJoCo.",
-                )
-            fits.remove("isaaclab")
-        chosen, *rivals = fits
-        other = next(order for order in (*rivals, *ranked) if order != chosen)
-        return _Order(
-            names[chosen],
-            f"{told[chosen]}: {beyond[chosen]:.2%} of the angles are beyond the joint limits, in "
-            f"{other} order {beyond[other]:.2%}",
-            other if rivals or chosen != "motor" else "",
-            assumed,
+            found = self._bodies(bodies, 3)
+            if order := order_by_bodies(angles, found, root.pos, root.quat_wxyz):
+                return order
+        # A table without a header is taken to be in motor order, as LAFAN1 is.
+        limited = order_by_limits(angles, self._file.robot, motor_assumed=bool(self._first_line))
+        if isinstance(limited, Order):
+            return limited
+        raise self._error(
+            f"the joint order is ambiguous: {limited}",
+            f"Give --joint-order {' or '.join(names)}; motor order is that of LowCmd, the URDF and "
+            "MuJoCo.",
         )
 
     @cached_property
@@ -412,7 +342,7 @@ class _Arrays:
         orders = {"wxyz": quat, "xyzw": wxyz_from_xyzw(quat)}
         usual, other = orders if w_first[_plain(name)] else reversed(orders)
         why = ""
-        few = _some(len(quat), _MANY_FRAMES)
+        few = some_frames(len(quat))
         if (
             not _plain(name).endswith(tuple(orders))
             and not _ON_FLOOR[0] < np.median(pos[:, 2]) < _ON_FLOOR[1]
@@ -485,36 +415,9 @@ class _Arrays:
                 f"the rows of {name} differ in length", "Give it a row for each frame."
             ) from None
 
-    def _of_one_motion(self, content: Any, member: str | None) -> dict[str, Any]:
-        """The arrays of the file, or of the selected or only motion in a dict of motions."""
-        if not isinstance(content, dict) or not content:
-            raise self._error("it has no named arrays", READ)
-        names = members(content)
-        if not names:
-            if member is None:
-                return content
-            raise self._error(f"it is one motion without the name {member}", "Remove the name.")
-        if member is None and len(names) == 1:
-            (member,) = names
-        if member not in names:
-            count = f"{len(names)} motions" if len(names) > 1 else "one motion"
-            has = f"it has {count}" + (f", and none with the name {member}" if member else "")
-            raise self._error(
-                f"{has}: {listed(names)}", f"Give one by its name: {self._file.path}:{names[0]}"
-            )
-        arrays: dict[str, Any] = content[member]
-        return arrays
-
     def _error(self, cause: str, remedy: str, line: int = 0) -> MotionError:
         where = f", line {line}" * bool(line)
         return MotionError(f"{self._file.path.name}{where}: {cause}.", remedy)
-
-
-def members(content: Any) -> tuple[str, ...]:
-    """Names of the motions in a dict of motions; empty if it is one motion."""
-    if isinstance(content, dict) and all(isinstance(one, dict) for one in content.values()):
-        return tuple(content)
-    return ()
 
 
 def _plain(name: str) -> str:
@@ -522,37 +425,11 @@ def _plain(name: str) -> str:
     return name.lower().removesuffix("_w")
 
 
-def _some(n_frames: int, at_most: int) -> NDArray[np.intp]:
-    """Indices of frames, evenly spaced."""
-    return np.linspace(0, n_frames - 1, min(at_most, n_frames)).astype(np.intp)
-
-
 def _unit_columns(pose: NDArray[Any]) -> list[int]:
     """First columns that a quaternion in a pose (T, 7) may have, 3 or 0: its norm is 1."""
-    some = pose[_some(len(pose), _MANY_FRAMES)]
+    some = pose[some_frames(len(pose))]
     norms = {first: np.linalg.norm(some[:, first : first + 4], axis=1) for first in (3, 0)}
     return [first for first, norm in norms.items() if (np.abs(norm - 1.0) < _UNIT).all()]
-
-
-def _distance(joint_pos: Floats, bodies: NDArray[Any], root: _Root) -> tuple[float, str]:
-    """Mean distance, mm, from each body (T, B, 3) to the nearest link, for the best robot model.
-
-    Returns:
-        The distance, and the robot's name.
-    """
-    found, quat = bodies[:, :, np.newaxis], quat_normalize(root.quat_wxyz)
-    distances = []
-    for name in REVISIONS:
-        links = forward_kinematics(G1.load(name), joint_pos, root.pos, quat).pos
-        nearest = np.linalg.norm(found - links[:, np.newaxis], axis=-1).min(axis=-1)
-        distances.append((float(nearest.mean() * 1e3), name))
-    return min(distances)
-
-
-def _share_beyond_limits(joint_pos: Floats) -> float:
-    robot = G1.default()
-    excess = np.maximum(robot.lower - joint_pos, joint_pos - robot.upper)
-    return float((excess > _EXCESS).mean())
 
 
 def _lean(quat_wxyz: Floats) -> float:

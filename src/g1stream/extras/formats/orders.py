@@ -1,26 +1,70 @@
-"""The orders of joints in files without joint names."""
+"""The order of joints in files without joint names, and the evidence for it."""
 
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Final, get_args
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS
-from g1stream.robot.model import G1
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.rotations import quat_normalize
 from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from g1stream.types import Floats
 
-__all__ = ["MAY_LACK", "WRISTS", "in_motor_order", "layouts", "names_in_order", "set_of"]
+__all__ = [
+    "MAY_LACK",
+    "WRISTS",
+    "Order",
+    "in_motor_order",
+    "layouts",
+    "names_in_order",
+    "order_by_bodies",
+    "order_by_limits",
+    "set_of",
+    "some_frames",
+]
 
 WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
 """The joints that files of 23 joints lack most often."""
 _G1_23DOF: Final = JOINT_SETS[1]
 MAY_LACK: Final = {*WRISTS, *(JOINT_NAMES[i] for i in _G1_23DOF.absent)}
 """Joints that a motion may lack, because a retargeting tool or a kind of G1 lacks them."""
+#: Number of frames that are used to compare bodies.
+_FRAMES: Final = 50
+#: Bodies decide the joint order if its links are within this distance of them, mm, and within
+#: this fraction of the distance in the other order.
+_NEAR: Final = 50.0
+_NEARER: Final = 0.5
+#: Limits decide the joint order if the other order has more than this fraction of the angles
+#: beyond them, and more than this multiple.
+_BEYOND: Final = 1e-2
+_TIMES: Final = 10.0
+#: The same fraction for two sets of 23 joints in motor order, which differ in waist and arms only.
+_ARMS: Final = 1e-3
+#: An angle counts as beyond a limit if it is so far beyond it, rad; retargeting tools exceed
+#: limits by as much.
+_EXCESS: Final = 0.02
+
+
+class Order(NamedTuple):
+    """The joint in each column, and the evidence for it.
+
+    Attributes:
+        other: a likely other order, if joint limits are weak evidence against it; otherwise "".
+        assumed: there is no evidence.
+    """
+
+    columns: tuple[str, ...]
+    why: str
+    other: str = ""
+    assumed: bool = False
 
 
 @cache
@@ -65,3 +109,103 @@ def in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:
         if name in names:
             ordered[:, joint] = angles[:, names.index(name)]
     return ordered
+
+
+def some_frames(n_frames: int, at_most: int = 5000) -> NDArray[np.intp]:
+    """Indices of frames, evenly spaced."""
+    return np.linspace(0, n_frames - 1, min(at_most, n_frames)).astype(np.intp)
+
+
+def order_by_bodies(
+    angles: Floats, bodies: NDArray[Any], root_pos: Floats, root_quat_wxyz: Floats
+) -> Order | None:
+    """The order in which forward kinematics puts the links at the bodies; None if none does.
+
+    Args:
+        angles: (T, n) rad, n of `layouts`.
+        bodies: (T, B, 3) positions of bodies in the world frame, m.
+        root_pos: (T, 3) position of the pelvis, m.
+        root_quat_wxyz: (T, 4) its orientation, of any length above 0.
+    """
+    names, few = layouts(angles.shape[1]), some_frames(len(angles), _FRAMES)
+    pose = root_pos[few], root_quat_wxyz[few]
+    near = {
+        order: _distance(in_motor_order(angles[few], joints), bodies[few], *pose)
+        for order, joints in names.items()
+    }
+    best, other, *_ = sorted(names, key=lambda order: near[order])
+    # The pelvis alone is equally near in both orders. A distance is NaN if a quaternion is zero.
+    if not near[best][0] < min(_NEAR, _NEARER * near[other][0]):
+        return None
+    return Order(
+        names[best],
+        f"{best}{set_of(names[best])}: bodies are {near[best][0]:.1f} mm from the links of "
+        f"{near[best][1]}, in {other} order {near[other][0]:.0f} mm",
+    )
+
+
+def order_by_limits(angles: Floats, robot: G1 | None, *, motor_assumed: bool) -> Order | str:
+    """The order with the fewest angles beyond the joint limits.
+
+    Of two sets of 23 joints that fit equally, the robot's is assumed, or the one without wrists.
+
+    Args:
+        angles: (T, n) rad, n of `layouts`.
+        robot: the robot that plays the motion.
+        motor_assumed: assume motor order if it and Isaac Lab's fit.
+
+    Returns:
+        The order; why it is ambiguous if it is.
+    """
+    names, few = layouts(angles.shape[1]), some_frames(len(angles))
+    beyond = {
+        order: _share_beyond_limits(in_motor_order(angles[few], joints))
+        for order, joints in names.items()
+    }
+    own = robot and tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(robot.present))
+    ranked = sorted(names, key=lambda order: (beyond[order], names[order] != own))
+    best = ranked[0]
+    fits = [
+        order
+        for order in ranked
+        if beyond[order]
+        <= max(_BEYOND if "isaaclab" in (best, order) else _ARMS, _TIMES * beyond[best])
+    ]
+    assumed = len(fits) > 1
+    if assumed and "isaaclab" in fits:
+        if not motor_assumed:
+            shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
+            return f"{shares} are beyond the joint limits"
+        fits.remove("isaaclab")
+    chosen, *rivals = fits
+    other = next(order for order in (*rivals, *ranked) if order != chosen)
+    return Order(
+        names[chosen],
+        f"{chosen}{set_of(names[chosen])}: {beyond[chosen]:.2%} of the angles are beyond the joint "
+        f"limits, in {other} order {beyond[other]:.2%}",
+        other if rivals or chosen != "motor" else "",
+        assumed,
+    )
+
+
+def _distance(
+    joint_pos: Floats, bodies: NDArray[Any], root_pos: Floats, root_quat_wxyz: Floats
+) -> tuple[float, str]:
+    """Mean distance, mm, from each body (T, B, 3) to the nearest link, for the best robot model.
+
+    Returns:
+        The distance, and the robot's name.
+    """
+    found, quat = bodies[:, :, np.newaxis], quat_normalize(root_quat_wxyz)
+    distances = []
+    for name in REVISIONS:
+        links = forward_kinematics(G1.load(name), joint_pos, root_pos, quat).pos
+        nearest = np.linalg.norm(found - links[:, np.newaxis], axis=-1).min(axis=-1)
+        distances.append((float(nearest.mean() * 1e3), name))
+    return min(distances)
+
+
+def _share_beyond_limits(joint_pos: Floats) -> float:
+    robot = G1.default()
+    excess = np.maximum(robot.lower - joint_pos, joint_pos - robot.upper)
+    return float((excess > _EXCESS).mean())

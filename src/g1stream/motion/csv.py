@@ -53,7 +53,7 @@ def open_csv(file: MotionFile) -> Poses | None:
     table = TextTable(file.content, file.path.name)
     first, second = (*islice(table.lines(), 2), "", "")[:2]
     columns = cells_of(first)
-    if file.member is not None or "," not in second:
+    if "," not in second:
         return None
     if sorted({_FRAME, *columns}) == sorted((*ROOT_COLUMNS, *JOINT_NAMES)):
         table.columns = columns

@@ -40,7 +40,7 @@ def open_npz(file: MotionFile) -> Poses | None:
     """
     try:
         contents = unzip(file.content, {f"{name}.npy" for name in _OWN})
-        if not contents or file.member is not None:
+        if not contents:
             return None
         read: dict[str, Any] = {name: read_npy(contents[f"{name}.npy"]) for name in _OWN}
     except ValueError as error:

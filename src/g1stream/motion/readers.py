@@ -310,19 +310,20 @@ def _is_onnx(file: MotionFile) -> bool:
     return file.data is None and file.path.suffix.lower() == ".onnx"
 
 
-def _is_directory(file: MotionFile) -> bool:
+def _is_one_motion(file: MotionFile) -> bool:
+    """Whether a path is no directory, and is given without the name of a motion."""
     with suppress(OSError):  # for example, the name is too long
-        return file.data is None and file.path.is_dir()
+        return file.member is None and (file.data is not None or not file.path.is_dir())
     return False
 
 
 def _is_npz(file: MotionFile) -> bool:
-    return not _is_directory(file) and file.content.startswith(b"PK")
+    return _is_one_motion(file) and file.content.startswith(b"PK")
 
 
 def _is_csv(file: MotionFile) -> bool:
     """Whether the first line of a file is text with commas."""
-    if _is_directory(file):
+    if not _is_one_motion(file):
         return False
     first = file.content[:CSV_LINE].split(b"\n", 1)[0]
     return b"," in first and not _NO_TEXT.search(first.removeprefix(b"\xef\xbb\xbf"))
@@ -332,8 +333,8 @@ FORMATS: Final = (
     Format("session or MCAP", "g1stream.session.motions:open_played", _is_recording),
     Format("bag of ROS 2", EXTENSIONS["read_bag"], _is_bag),
     Format("policy that holds its motion (ONNX)", EXTENSIONS["read_policy"], _is_onnx),
-    Format("NPZ", "g1stream.motion.npz:open_npz", _is_npz, several=True),
-    Format("CSV", "g1stream.motion.csv:open_csv", _is_csv, several=True),
+    Format("NPZ", "g1stream.motion.npz:open_npz", _is_npz),
+    Format("CSV", "g1stream.motion.csv:open_csv", _is_csv),
 )
 """The formats that the core reads."""
 

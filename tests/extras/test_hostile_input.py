@@ -124,15 +124,18 @@ CSV = b"".join(CSV[:6])
 
 
 def array_files():
-    """A motion as NPZ with names, as pickle of two protocols, and one of PyTorch."""
+    """A motion as NPZ, ours and of others, as pickle of two protocols, and one of PyTorch."""
     motion = load_motion("demo").frames(0, 4)
+    own = io.BytesIO()
+    arrays = {name: getattr(motion, name) for name in ("joint_pos", "root_pos", "root_quat_wxyz")}
+    np.savez(own, fps=30.0, joint_names=JOINT_NAMES, **arrays)
     arrays = {"fps": 30, "dof": motion.joint_pos, "dof_names": list(JOINT_NAMES)}
     arrays |= {"root_pos": motion.root_pos, "root_rot": motion.root_quat_wxyz}
     npz = io.BytesIO()
     np.savez(npz, **arrays)
     pickles = pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
     tensors = Path(__file__).parents[1] / "data" / "protomotions.pt"
-    return npz.getvalue(), *pickles, tensors.read_bytes()
+    return own.getvalue(), npz.getvalue(), *pickles, tensors.read_bytes()
 
 
 def bags():

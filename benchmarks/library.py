@@ -1,18 +1,15 @@
 """A library of many motions: throughput, overhead of a motion, growth, memory.
 
-    python benchmarks/library.py [--motions 100 300 1000] [--workers 2] [--cluster] [--json]
+    python benchmarks/library.py [--motions 100 300 1000] [--workers 2] [--json]
 
 `g1stream library check` of short cuts of the bundled motion, all different (trimmed, mirrored, at
-other speeds): with one process, and of each number of motions with several or, with --cluster, by
-the workers of a Dask scheduler on this machine. The overhead of a motion is the time of the
-processes less what computing it took, as its row says.
+other speeds): with one worker, and of each number of motions with several. The overhead of a motion
+is the time of the workers less what computing it took, as its row says.
 
-efficiency is against as many single processes, linear_r2 of time over number. command_ms and
-scheduler_ms are the CPU time of the command and of the scheduler for a motion: each looks at every
-motion, in one thread. scheduler_mb_by_tenth and command_mb_by_tenth are their memory before, and
-after each tenth of the most motions; the command submits at most 4,096 at a time. With --root a
-library is computed in pieces of some minutes. With --hour an hour of a motion, such as demo, is
-checked as one file.
+efficiency is against as many single workers, linear_r2 of time over number. command_ms is the CPU
+time of the command for a motion, with that of Dask's scheduler, which runs in it. command_mb is its
+memory before, and after each tenth of the most motions. With --root a library is computed in pieces
+of some minutes. With --hour an hour of a motion, such as demo, is checked as one file.
 """
 
 from __future__ import annotations
@@ -30,8 +27,7 @@ import numpy as np
 
 import g1stream
 from g1stream.extras.library.compute import Task, contents_of, rows_of
-from g1stream.extras.library.processes import Limits
-from g1stream.testing import dask_cluster
+from g1stream.extras.library.workers import Limits
 
 
 def make(directory: Path, n: int, seconds: float) -> None:
@@ -61,7 +57,7 @@ def check(motions: list[Path], out: Path, **where: Any) -> dict[str, Any]:
     return {
         "motions": len(motions),
         "command_ms": 1e3 * spent / len(motions),
-        "whole_s": whole,  # with the start of processes, looking for files, and the page
+        "whole_s": whole,  # with the start of processes, and looking for files
         "seconds": run.elapsed,
         "computing_s": float(rows["seconds"].sum()),
         "memory_mb": rows["memory"].tolist(),
@@ -101,12 +97,6 @@ def resident_mb(pid: int) -> float:
     """Memory of a process."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
-
-
-def cpu_s(pid: int) -> float:
-    """CPU time of a process, without that of its children."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def overhead_ms(run: dict[str, Any], workers: int) -> float:
@@ -149,29 +139,14 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
         if flags.hour:
             found["hour_cpu_s"] = hour(flags.hour, root)
         single = workers * one["motions"] / one["computing_s"]
-        if not flags.cluster:
-            several = [check(motions[:n], root / f"several-{n}", workers=workers) for n in numbers]
-            return found | figures(several, workers, single)
-        with dask_cluster(workers) as (address, head, _):
-            check(motions[:workers], root / "warm", cluster=address)
-            held, spent = [], cpu_s(head.pid)
-
-            def hold(_: Any = None) -> None:
-                held.append((resident_mb(head.pid), resident_mb(os.getpid())))
-
-            hold()
-            several = [
-                check(motions[:n], root / f"dask-{n}", cluster=address, on_row=hold)
-                for n in numbers
-            ]
-            most, tenth = held[-numbers[-1] :], max(1, numbers[-1] // 10)
-            scheduler, command = zip(held[0], *most[tenth - 1 :: tenth], strict=True)
-            return found | {
-                **figures(several, workers, single),
-                "scheduler_ms": 1e3 * (cpu_s(head.pid) - spent) / sum(numbers),
-                "scheduler_mb_by_tenth": scheduler,
-                "command_mb_by_tenth": command,
-            }
+        held = [resident_mb(os.getpid())]
+        hold = lambda _: held.append(resident_mb(os.getpid()))  # noqa: E731
+        several = [
+            check(motions[:n], root / f"several-{n}", workers=workers, on_row=hold) for n in numbers
+        ]
+        most, tenth = held[-numbers[-1] :], max(1, numbers[-1] // 10)
+        found["command_mb"] = [held[0], *most[tenth - 1 :: tenth]]
+        return found | figures(several, workers, single)
 
 
 def figures(runs: list[dict[str, Any]], workers: int, single: float) -> dict[str, Any]:
@@ -198,7 +173,6 @@ def main() -> None:
     parser.add_argument("--motions", type=int, nargs="+", default=[100, 300, 1000])
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seconds", type=float, default=2.0)
-    parser.add_argument("--cluster", action="store_true")
     parser.add_argument("--hour", metavar="MOTION", help="check an hour of this motion, too")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--root", type=Path, help="keep the most motions here, and go on there")
@@ -216,8 +190,7 @@ def main() -> None:
     for name, value in found.items():
         if isinstance(value, float | int):
             print(f"{name:<26}{value:10.4g}")
-    for name in ("scheduler_mb_by_tenth", "command_mb_by_tenth") if flags.cluster else ():
-        print(f"{name:<26}{' '.join(f'{one:.0f}' for one in found[name])}")
+    print(f"{'command_mb':<26}{' '.join(f'{one:.0f}' for one in found['command_mb'])}")
     for run in found["runs"]:
         print("".join(f"{key} {value:.1f}  " for key, value in run.items()))
 

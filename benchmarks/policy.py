@@ -26,7 +26,7 @@ import g1stream
 from g1stream.config import load_config
 from g1stream.extras.library.compute import LibraryCase
 from g1stream.extras.library.library_cli import swept
-from g1stream.extras.library.processes import Limits
+from g1stream.extras.library.workers import Limits
 
 DELAYS = (0.0, 0.004, 0.008, 0.012, 0.016, 0.020)
 

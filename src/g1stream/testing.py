@@ -11,21 +11,12 @@ can be asserted to the nanosecond:
 
 `Lockstep` is a link and a clock with the physics of g1stream's bridge; `g1stream.rollout` uses it
 for whole sessions.
-
-`dask_cluster` starts a Dask cluster on this machine, for tests of code that computes a library.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import tempfile
-import time
 from collections import Counter
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -46,7 +37,7 @@ from g1stream.sim.robot import MODE_MACHINE_29
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike
 
@@ -54,7 +45,7 @@ if TYPE_CHECKING:
     from g1stream.session.source import MemorySource
     from g1stream.session.writer import SessionWriter
 
-__all__ = ["EPOCH", "FakeClock", "FakeLink", "Lockstep", "Sent", "SyntheticSession", "dask_cluster"]
+__all__ = ["EPOCH", "FakeClock", "FakeLink", "Lockstep", "Sent", "SyntheticSession"]
 
 EPOCH: Final = 1_700_000_000_000_000_000
 """Publish time of the first sample, ns since the epoch."""
@@ -205,49 +196,6 @@ class FakeLink:
     def in_phase(self, phase: Phase) -> list[Sent]:
         """The commands that were sent in a phase."""
         return [sent for sent in self.sent if int(sent.reference.phase) == phase]
-
-
-@contextmanager
-def dask_cluster(
-    threads: int = 1, workers: int = 1
-) -> Iterator[tuple[str, subprocess.Popen[bytes], list[subprocess.Popen[bytes]]]]:
-    """Run a Dask scheduler and workers on loopback, started as in docs/scale.md.
-
-    Args:
-        threads: number of threads of each worker.
-        workers: number of workers.
-
-    Yields:
-        The scheduler's address, its process, and the processes that started the workers.
-    """
-    with tempfile.TemporaryDirectory() as directory:
-        file = Path(directory, "scheduler.json")
-
-        def start(*arguments: str) -> subprocess.Popen[bytes]:
-            return subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments, "--no-dashboard"],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-
-        head = start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file)
-        )
-        many: list[subprocess.Popen[bytes]] = []
-        try:
-            # The file exists before it is written; its last line is the outermost brace.
-            while not (file.exists() and file.read_text().endswith("\n}")):
-                if head.poll() is not None:
-                    raise RuntimeError(f"dask scheduler ended with code {head.returncode}")
-                time.sleep(0.05)
-            address = json.loads(file.read_text())["address"]
-            worker = ("worker", address, "--host", "127.0.0.1", "--nthreads", str(threads))
-            many += [start(*worker) for _ in range(workers)]
-            yield address, head, many
-        finally:
-            for process in (*many, head):
-                process.kill()  # a worker that is terminated waits for its scheduler
-                process.wait()
 
 
 #: Durations of RAMP and HOLD, s.

@@ -1,3 +1,5 @@
+import ctypes
+import os
 import threading
 import time
 
@@ -6,8 +8,14 @@ import psutil
 import pytest
 
 import g1stream
-from g1stream.extras.library.run import completed, open_executor
-from g1stream.testing import dask_cluster
+from dask_cluster import dask_cluster
+from g1stream.extras.library.workers import (
+    CrashedError,
+    Limits,
+    TooSlowError,
+    completed,
+    open_workers,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -54,18 +62,46 @@ def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
     assert address in said[0]
 
 
-def test_a_result_that_is_on_its_way_when_the_scheduler_is_killed_is_lost():
-    class SlowToSend:
-        def __reduce__(self):
-            time.sleep(4.0)
-            return str, ()
-
-    with dask_cluster() as (address, head, _), open_executor(1, address) as executor:
-        threading.Timer(2.0, head.kill).start()
-        ((_, future),) = (
-            pair for pairs in completed(executor, lambda _: SlowToSend(), [0]) for pair in pairs
+def test_a_worker_with_several_threads_is_none(motions, tmp_path):
+    said = []
+    case = g1stream.LibraryCase("check", tmp_path)
+    with dask_cluster(workers=1, threads=2) as (address, _, _):
+        run = g1stream.run_library(
+            [str(motions)], [case], cluster=address, warn=said.append, stop=lambda: bool(said)
         )
-    assert future.cancelled()
+    assert not run.complete
+    assert "--nthreads 1" in said[0]
+
+
+class SlowToSend:
+    def __reduce__(self):
+        time.sleep(4.0)
+        return str, ()
+
+
+def test_a_result_that_is_on_its_way_when_the_scheduler_is_killed_is_lost():
+    with dask_cluster() as (address, head, _), open_workers(1, address) as client:
+        threading.Timer(3.0, head.kill).start()
+        ((_, future),) = (
+            pair for pairs in completed(client, lambda _: SlowToSend(), [0]) for pair in pairs
+        )
+    assert future.cancelled() or isinstance(future.exception(), RuntimeError)
+
+
+def test_the_limits_are_those_of_one_machine():
+    def call(what):
+        if what == "endless":
+            ctypes.PyDLL(None).pause()
+        elif what == "abort":
+            os.abort()
+        return len(bytes(500_000_000 if what == "huge" else 1))
+
+    whats = ["endless", "small", "abort", "huge"]
+    with dask_cluster(workers=2) as (address, _, _), open_workers(1, address) as client:
+        calls = completed(client, call, whats, Limits(3.0, 200.0))
+        found = {what: future.exception() for pairs in calls for what, future in pairs}
+    kinds = [type(found[what]) for what in whats]
+    assert kinds == [TooSlowError, type(None), CrashedError, MemoryError]
 
 
 def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_path):

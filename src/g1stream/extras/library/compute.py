@@ -17,14 +17,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import numpy as np
-
 from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError
 from g1stream.extras.formats.table import WRITTEN
 from g1stream.extras.formats.write import write_motion
-from g1stream.extras.library.files import content_hash, local_copy, motions_at, stem
+from g1stream.extras.library.files import content_hash, motions_at
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
@@ -33,14 +31,7 @@ from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.optional import load_object
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import (
-    quat_from_yaw,
-    quat_rotate,
-    quat_rotate_inverse,
-    yaw_of,
-)
 
 if TYPE_CHECKING:
     from g1stream.analysis.metrics import Metrics
@@ -57,17 +48,6 @@ OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
 #: Maximum length of a motion's name in the name of a file, which has up to 255 bytes, characters.
 _LONGEST_NAME: Final = 50
-#: Links of a picture's stick figure, a line each.
-_LIMBS: Final = (
-    ("left_ankle_roll_link", "left_knee_link", "left_hip_roll_link", "pelvis"),
-    ("right_ankle_roll_link", "right_knee_link", "right_hip_roll_link", "pelvis"),
-    ("pelvis", "torso_link", "head"),
-    ("torso_link", "left_shoulder_pitch_link", "left_elbow_link", "left_wrist_yaw_link"),
-    ("torso_link", "right_shoulder_pitch_link", "right_elbow_link", "right_wrist_yaw_link"),
-)
-_POSES: Final = 5
-#: Height of the head's top above the torso's origin, m.
-_HEAD: Final = np.array([0.0, 0.0, 0.5])
 
 
 @dataclass(frozen=True)
@@ -194,7 +174,7 @@ class Task:
         broken, case = status == "broken", self.case
         row = MotionRow(
             key=self.key_if_broken if broken else self.key,
-            name=self.content.member or stem(self.location),
+            name=self.content.member or Path(self.location).stem,
             path=_place(self.location, self.content.member),
             sha256=self.content.sha256,
             command=case.command,
@@ -232,7 +212,7 @@ def _limits(config: Config) -> tuple[float, float]:
 
 
 def contents_of(locations: list[str]) -> list[tuple[str, Content]]:
-    """The motions at some paths and URLs, with their hashes."""
+    """The motions at some paths, with their hashes."""
     return [pair for location in locations for pair in _contents_at(location)]
 
 
@@ -260,11 +240,9 @@ def rows_of(task: Task) -> Rows:
     try:
         if task.content.fault:
             raise MotionError(task.content.fault, "")
-        with local_copy(task.location) as path:
-            motion = _load(Path(_place(path, task.content.member)))
-            row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
-            row.picture = picture(motion, _robot(case.config))
-            _COMPUTE[case.command](motion, case, rows)
+        motion = _load(Path(_place(path, task.content.member)))
+        row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
+        _COMPUTE[case.command](motion, case, rows)
         row.status = "ok"
     except RecordingError as error:  # an output file cannot be written
         row.status, row.reason = "error", error.cause
@@ -290,7 +268,7 @@ def _load(path: Path) -> Motion:
 
 
 def _without_name(cause: str, path: Path) -> str:
-    """A cause without the path of the file or of its copy, because the row has the path."""
+    """A cause without the path of the file, because the row has the path."""
     shorter = cause.removeprefix(path.name).lstrip(":, ")
     return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
 
@@ -427,27 +405,3 @@ def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
 
 
 _COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}
-
-
-def picture(motion: Motion, robot: G1) -> str:
-    """Five poses of a motion as stick figures: an SVG path 100 wide and 30 high.
-
-    The view of each pose is from the front right, at 45 degrees to its own heading.
-    """
-    frames = np.linspace(0, motion.n_frames - 1, _POSES).round().astype(int)
-    root_quat = motion.root_quat_wxyz[frames]
-    poses = forward_kinematics(robot, motion.joint_pos[frames], np.zeros((_POSES, 3)), root_quat)
-    places = {name: poses.pos[:, i] for i, name in enumerate(robot.link_names)}
-    torso = poses.quat_wxyz[:, robot.link_index("torso_link")]
-    places["head"] = places["torso_link"] + quat_rotate(torso, _HEAD)
-    heading = quat_from_yaw(yaw_of(root_quat))
-    path = []
-    for pose in range(_POSES):
-        for limb in _LIMBS:
-            points = np.array([places[link][pose] for link in limb if link in places])
-            seen = quat_rotate_inverse(heading[pose], points)
-            across = (seen[:, 1] - seen[:, 0]) * np.sqrt(0.5)
-            x = 100.0 * (pose + 0.5) / _POSES + 17.0 * across
-            y = 16.0 - 17.0 * seen[:, 2]
-            path.append("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True)))
-    return "".join(path)

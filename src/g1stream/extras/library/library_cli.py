@@ -56,16 +56,16 @@ class Library(SettingsCommand, QuietFlag):
     motion files, including training files for other programs, or MCAP files for viewers.
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
-    joints, and index.html. A file that is broken, or needs too much time or memory, has a row with
-    the reason. If the command is interrupted, run it again to continue. It recomputes rows after
-    changes of settings or versions. docs/library.md lists the columns. A condition names a column
-    with numbers or with yes (1) and no (0), or `ok`, which is 1 for a row whose status is ok. It
-    also fails if a simulated motion was not played to its end, unless a condition is on
-    `completed`, `played` or `success`.
+    joints. A file that is broken, or needs too much time or memory, has a row with the reason. If
+    the command is interrupted, run it again to continue. It recomputes rows after changes of
+    settings or versions. docs/library.md lists the columns. A condition names a column with numbers
+    or with yes (1) and no (0), or `ok`, which is 1 for a row whose status is ok. It also fails if a
+    simulated motion was not played to its end, unless a condition is on `completed`, `played` or
+    `success`.
 
     Examples:
       g1stream library check motions -o library
-      g1stream library simulate s3://lab/motions --support bolted,hanging
+      g1stream library simulate motions --support bolted,hanging
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
       g1stream library simulate motions --policy a.onnx --sweep sim.push=0,0.5
       g1stream library check motions --fail-if 'max_collision > 10'
@@ -84,10 +84,7 @@ class Library(SettingsCommand, QuietFlag):
         "their files. Flags that begin with an action only apply to that action.",
         "ACTION",
     )
-    places: tuple[str, ...] = argument(
-        "Directories, motion files, or URLs such as s3://bucket/motions (extra `library`).",
-        "PATH...",
-    )
+    places: tuple[str, ...] = argument("Directories, and motion files.", "PATH...")
     out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
     support: str | None = flag(
         None,
@@ -119,7 +116,7 @@ class Library(SettingsCommand, QuietFlag):
     )
     cluster: str | None = flag(
         None,
-        "Use the workers of this Dask scheduler instead (extra `cluster`).",
+        "Use the workers of this Dask scheduler instead.",
         "ADDRESS",
         advanced=True,
     )
@@ -142,9 +139,9 @@ class Library(SettingsCommand, QuietFlag):
 
     def run(self) -> int:
         """Compute, and return the exit code."""
-        from g1stream.extras.library.processes import Limits
         from g1stream.extras.library.run import LibraryRun, run_library
         from g1stream.extras.library.table import CONDITION_NAMES, newest_motions
+        from g1stream.extras.library.workers import Limits
         from g1stream.extras.report.fail_if import FailIf
 
         self._check_flags()
@@ -258,13 +255,11 @@ def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -
 
 
 def _print_row(row: MotionRow) -> None:
-    print(row.model_dump_json(exclude={"picture"}), flush=True)
+    print(row.model_dump_json(), flush=True)
 
 
 def _about(run: LibraryRun, out: Path) -> list[str]:
     """A summary of the run."""
-    from g1stream.extras.library.page import PAGE
-
     motions = counted(run.files - run.copies, "motion")
     copies = f", {run.copies} duplicates" if run.copies else ""
     known = f", {run.known} known before" if run.known else ""
@@ -273,7 +268,6 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
     return [
         f"{out}: {counted(run.total, 'row')} of {motions}{copies}",
         f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",
-        *([f"  {out / PAGE}"] if run.known or run.done else []),
     ]
 
 

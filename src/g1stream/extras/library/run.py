@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import time
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
-from ipaddress import ip_address
-from itertools import islice
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Thread
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
-from g1stream._version import __version__
 from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import Content, Task, contents_of, rows_of
 from g1stream.extras.library.files import find_motions
-from g1stream.extras.library.page import write_page
-from g1stream.extras.library.processes import (
+from g1stream.extras.library.table import writing
+from g1stream.extras.library.workers import (
     CrashedError,
     Limits,
     TooSlowError,
-    end_processes,
-    limited,
+    completed,
+    open_workers,
 )
-from g1stream.extras.library.table import writing
-from g1stream.optional import import_extra
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from concurrent.futures import Executor
+    from collections.abc import Callable, Iterator, Sequence
+    from concurrent.futures import Future
 
     from g1stream.extras.library.compute import LibraryCase
-    from g1stream.extras.library.table import MotionRow, Rows, TableWriter
+    from g1stream.extras.library.table import MotionRow, Rows, Status, TableWriter
 
-__all__ = ["LibraryRun", "completed", "open_executor", "run_library"]
+__all__ = ["LibraryRun", "run_library"]
 
 #: Number of files that are hashed in one call.
 _BATCH: Final = 32
@@ -116,15 +105,16 @@ def run_library(
     stop: Callable[[], bool] = lambda: False,
     warn: Callable[[str], None] = lambda text: None,
 ) -> LibraryRun:
-    """Compute the rows of all motions below some places, write them continuously, then a page.
+    """Compute the rows of all motions below some places, write them continuously.
 
     Existing rows with the same content, settings and versions are not computed again. Written rows
     are kept however the run ends, and the same call continues it.
 
     Args:
-        places: directories, files and URLs.
+        places: directories and files.
         cases: computations for each motion, all with the same directory.
-        workers: number of processes on this machine; one for each CPU if None.
+        workers: number of processes on this machine; one for each CPU if None. They import the main
+            module of a program again, which must call this below `if __name__ == "__main__":`.
         cluster: address of a Dask scheduler whose workers are used instead. Whoever runs it, or
             can change its messages, runs code here and on the workers.
         insecure: use a scheduler on another machine without TLS.
@@ -154,19 +144,18 @@ def run_library(
     run.files = len(locations)
     with (
         writing(out) as table,
-        open_executor(
+        open_workers(
             workers or os.cpu_count() or 1, cluster, insecure=insecure, warn=warn, stop=stop
-        ) as executor,
+        ) as client,
     ):
-        contents = list(_contents(executor, locations, run, stop))
+        contents = list(_contents(client, locations, run, stop))
         tasks: list[Task] = []
         if not stop():
             tasks += _tasks(contents, cases, table, str(limits), run)
             run.computing = True
         started = time.monotonic()
-        compute = partial(_compute, limits=limits)
-        for pairs in completed(executor, compute, tasks, stop):
-            written = list(_results(pairs, run))
+        for pairs in completed(client, rows_of, tasks, limits, stop):
+            written = list(_results(pairs, limits, run))
             if written:
                 table.add(written)
             run.elapsed = time.monotonic() - started
@@ -174,8 +163,6 @@ def run_library(
                 run.done += 1
                 run.failed += rows.motion.status != "ok"
                 on_row(rows.motion)
-    if run.known or run.done:
-        write_page(out)
     return run
 
 
@@ -183,7 +170,7 @@ def _require_apart(places: Sequence[str], out: Path) -> None:
     """Refuse a library's directory that contains motions, because it is not searched for them."""
     for place in places:
         path = Path(place).resolve()
-        if "://" not in place and path.exists() and out.resolve() in (path, *path.parents):
+        if path.exists() and out.resolve() in (path, *path.parents):
             raise ConfigError(
                 f"The library {out} would contain the motions in {place}, and hide them.",
                 "Choose another directory for the library.",
@@ -191,17 +178,26 @@ def _require_apart(places: Sequence[str], out: Path) -> None:
 
 
 def _contents(
-    executor: Executor, locations: list[str], run: LibraryRun, stop: Callable[[], bool]
+    client: Any, locations: list[str], run: LibraryRun, stop: Callable[[], bool]
 ) -> Iterator[tuple[str, Content]]:
-    """The content at each location that can be read."""
+    """The content at each location."""
     batches = [locations[i : i + _BATCH] for i in range(0, len(locations), _BATCH)]
-    for pairs in completed(executor, contents_of, batches, stop):
-        for batch, future in pairs:
-            run.hashed += len(batch)
-            if fault := _fault(future):
-                run.lost |= dict.fromkeys(batch, fault)
-            else:
-                yield from future.result()
+    while batches:
+        again: list[list[str]] = []
+        for pairs in completed(client, contents_of, batches, stop=stop):
+            for batch, future in pairs:
+                crashed = _crashed(future)
+                if crashed and len(batch) > 1:
+                    again += [[location] for location in batch]
+                    continue
+                run.hashed += len(batch)
+                if crashed:
+                    yield batch[0], Content("", crashed.cause)
+                elif fault := _fault(future):
+                    run.lost |= dict.fromkeys(batch, fault)
+                else:
+                    yield from future.result()
+        batches = again
 
 
 def _tasks(
@@ -233,26 +229,29 @@ def _tasks(
                 yield task
 
 
-def _compute(task: Task, limits: Limits) -> Rows:
-    """Compute a task's rows in a process of the calling thread."""
-    try:
-        rows = limited(limits, rows_of, task)
-    except (TooSlowError, CrashedError) as error:
-        rows = task.rows("slow" if isinstance(error, TooSlowError) else "crashed", error.cause)
-    rows.motion.limits = str(limits)
-    return rows
-
-
-def _results(pairs: Sequence[tuple[Task, Future[Rows]]], run: LibraryRun) -> Iterator[Rows]:
+def _results(
+    pairs: Sequence[tuple[Task, Future[Rows]]], limits: Limits, run: LibraryRun
+) -> Iterator[Rows]:
     for task, future in pairs:
-        if fault := _fault(future):
+        if crashed := _crashed(future):
+            status: Status = "slow" if isinstance(crashed, TooSlowError) else "crashed"
+            rows = task.rows(status, crashed.cause)
+        elif fault := _fault(future):
             run.lost[task.location] = fault
             continue
-        rows = future.result()
+        else:
+            rows = future.result()
+        rows.motion.limits = str(limits)
         run.keys.discard(task.key)
         if (key := rows.motion.key) not in run.keys:  # a broken file has one row for all its cases
             run.keys.add(key)
             yield rows
+
+
+def _crashed(future: Future[Any]) -> TooSlowError | CrashedError | None:
+    """Why the worker of a call ended."""
+    error = None if future.cancelled() else future.exception()
+    return error if isinstance(error, (TooSlowError, CrashedError)) else None
 
 
 def _fault(future: Future[Any]) -> str:
@@ -261,195 +260,3 @@ def _fault(future: Future[Any]) -> str:
         return "cancelled"
     error = future.exception()
     return f"{type(error).__name__}: {error}" if error else ""
-
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-#: Most pending calls; with a scheduler of 1,000 cores four for each.
-_WINDOW: Final = 4096
-#: Results within this time are returned together, s, because writing a row alone takes 10 ms.
-_TOGETHER: Final = 0.25
-#: Timeout for an answer of the scheduler, and for workers to import g1stream, s.
-_TIMEOUT: Final = 10.0
-_START: Final = 60.0
-#: Time between checks whether to stop, s.
-_POLL: Final = 0.2
-
-
-@contextmanager
-def open_executor(
-    workers: int,
-    cluster: str | None = None,
-    *,
-    insecure: bool = False,
-    warn: Callable[[str], None] = lambda text: None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Iterator[Executor]:
-    """Open the executor for the calls.
-
-    Args:
-        workers: number of processes on this machine.
-        cluster: address of a Dask scheduler to use instead, such as `tls://host:8786`.
-        insecure: as of `run_library`.
-        warn: called with the reason for waiting, and a remedy.
-        stop: polled; True ends the wait for workers.
-
-    Raises:
-        ConfigError: the extra `cluster` is not installed, the scheduler may not be trusted, there
-            is none, or its workers lack g1stream or have another version.
-    """
-    if cluster:
-        _require_trusted(cluster, insecure=insecure)
-        with _client(cluster, warn, stop) as client:
-            yield client.get_executor(pure=False)
-        return
-    threads = ThreadPoolExecutor(workers, "library")
-    try:
-        yield threads
-    finally:
-        threads.shutdown(wait=False, cancel_futures=True)
-        joining = Thread(target=threads.shutdown)
-        joining.start()
-        while joining.is_alive():  # repeatedly, because a process may just be starting
-            end_processes()
-            joining.join(_POLL)
-
-
-def _require_trusted(cluster: str, *, insecure: bool) -> None:
-    """Refuse a scheduler elsewhere whose messages anybody on the way can replace."""
-    scheme, _, rest = cluster.rpartition("://")
-    host = rest.rpartition(":")[0].strip("[]") or rest
-    with suppress(ValueError):
-        insecure |= ip_address(host).is_loopback
-    if insecure or host == "localhost" or scheme == "tls":
-        return
-    raise ConfigError(
-        f"The scheduler {cluster} is on another machine, and is asked for without TLS: whoever "
-        "can answer in its place runs code here and on the workers.",
-        "Give tls://HOST:PORT with certificates (docs/scale.md), or --cluster-insecure in a "
-        "network of your own.",
-    )
-
-
-def _in_time(call: Callable[[], T], seconds: float) -> T:
-    """Call a function of Dask, whose own timeouts do not cover a peer that never answers.
-
-    It has a thread of its own because this thread may have a notebook's event loop.
-    """
-    result: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            result.set_result(call())
-        except BaseException as error:
-            result.set_exception(error)
-
-    Thread(target=run, name="cluster", daemon=True).start()
-    if not wait([result], seconds).done:
-        raise OSError(f"no answer within {seconds:g} s")
-    return result.result()
-
-
-@contextmanager
-def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool]) -> Iterator[Any]:
-    distributed = import_extra("distributed", "cluster", "--cluster needs")
-    try:
-        _in_time(lambda: asyncio.run(_connected(cluster)), _TIMEOUT)
-        make = partial(distributed.Client, cluster, timeout=_TIMEOUT, set_as_default=False)
-        client = _in_time(make, 2.0 * _TIMEOUT)
-    except Exception as error:  # what is no scheduler may answer anything
-        if cluster.startswith("tls://") and isinstance(error, TypeError):
-            raise ConfigError(
-                f"The Dask scheduler {cluster} needs TLS certificates: {error}.",
-                "Set them in Dask's configuration, distributed.comm.tls.",
-            ) from error
-        raise ConfigError(
-            f"There is no Dask scheduler at {cluster}: {error}.",
-            "Start one with `dask scheduler`, and give the address that it prints.",
-        ) from error
-    with client:
-        try:
-            if not _in_time(client.nthreads, _TIMEOUT):
-                warn(
-                    f"The scheduler {cluster} has no workers: waiting for workers. Start them with "
-                    f"`dask worker {cluster}`, one for each machine."
-                )
-            while not _in_time(client.nthreads, _TIMEOUT) and not stop():
-                time.sleep(_POLL)
-            versions = set(_in_time(partial(client.run, _version), _START).values()) - {__version__}
-        except Exception as error:  # any error of the scheduler or a worker
-            raise ConfigError(
-                f"The workers of {cluster} cannot run g1stream: {error}.",
-                "Install g1stream on each of them.",
-            ) from error
-        if versions:
-            raise ConfigError(
-                f"Workers of {cluster} have g1stream {', '.join(sorted(versions))}.",
-                f"Install g1stream {__version__} on each of them.",
-            )
-        yield client
-
-
-async def _connected(cluster: str) -> None:
-    """Connect once. An unconnected Client waits 20 s when deleted, and prints a traceback."""
-    from distributed.comm import connect
-    from distributed.security import Security
-
-    security = Security().get_connection_args("client")
-    comm = await connect(cluster, timeout=_TIMEOUT, **security)
-    await comm.close()
-
-
-def _version() -> str:
-    return __version__
-
-
-def completed(
-    executor: Executor,
-    function: Callable[[T], R],
-    items: Iterable[T],
-    stop: Callable[[], bool] = lambda: False,
-) -> Iterator[list[tuple[T, Future[R]]]]:
-    """Call a function with each item; yields completed calls, some together.
-
-    Args:
-        executor: executor of the calls.
-        function: called with an item.
-        items: consumed as calls are completed, so there may be many.
-        stop: polled; True ends without waiting for pending calls.
-    """
-    done: SimpleQueue[Future[R]] = SimpleQueue()
-    left = iter(items)
-    running: dict[Future[R], T] = {}
-
-    def submit(n: int) -> None:
-        for item in islice(left, n):
-            future = executor.submit(function, item)
-            running[future] = item
-            future.add_done_callback(done.put)
-
-    submit(_WINDOW)
-    due = 0.0
-    while running and not stop():
-        futures: list[Future[R]] = []
-        with suppress(Empty):
-            futures.append(done.get(timeout=_POLL))
-            while len(futures) < len(running):
-                futures.append(done.get(timeout=max(0.0, due - time.monotonic())))
-        if futures:
-            due = time.monotonic() + _TOGETHER
-            pairs = [(running.pop(future), future) for future in futures]
-            submit(len(pairs))
-            yield pairs
-        elif _has_lost_scheduler(executor):
-            for future in running:
-                future.cancel()  # which puts it into `done`
-    for future in running:
-        future.cancel()
-
-
-def _has_lost_scheduler(executor: Executor) -> bool:
-    """Whether its Dask client is closed. Pending results are then never set."""
-    client = getattr(executor, "_client", None)
-    return client is not None and client.status == "closed"

@@ -54,7 +54,7 @@ Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
 time; its process ended; or a bug of g1stream."""
 
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Version of the tables. It changes with the columns, so that rows are recomputed."""
 
 
@@ -68,7 +68,7 @@ class MotionRow(Record):
 
     key: str = column("key of this row: content, variant, settings and versions", default=...)
     name: str = column("name of the file, without its suffix", default=...)
-    path: str = column("path or URL of the file", default=...)
+    path: str = column("path of the file", default=...)
     sha256: str = column("hash of the content", default=...)
     command: Command = column("command that computed the row", default=...)
     variant: str = column("support, policy and values of a sweep, or the format", default="")
@@ -139,7 +139,6 @@ class MotionRow(Record):
     seconds: float | None = column("computing time", "s")
     memory: float | None = column("memory of the process afterwards", "MB")
     limits: str = column("limits of time and memory", default="")
-    picture: str | None = column("five poses, as the path of an SVG 100 wide and 30 high")
 
 
 _PLAYABLE: Final = {"yes": 1.0, "inexact": 0.5, "no": 0.0}

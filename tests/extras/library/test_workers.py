@@ -1,0 +1,117 @@
+import ctypes
+import os
+import random
+import signal
+import threading
+import time
+
+import psutil
+import pytest
+
+import g1stream
+from g1stream.extras.library.workers import (
+    CrashedError,
+    Limits,
+    TooSlowError,
+    completed,
+    open_workers,
+)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def client():
+    with open_workers(2) as client:
+        yield client
+
+
+def answers(client, function, items, limits=None):
+    calls = (pair for pairs in completed(client, function, items, limits) for pair in pairs)
+    return {item: future.exception() or future.result() for item, future in calls}
+
+
+def call(what):
+    if what == "endless":  # in C, with the lock of the interpreter
+        ctypes.PyDLL(None).pause()
+    elif what == "abort":
+        os.abort()
+    elif what == "huge":
+        return len(bytes(500_000_000))
+    elif what == "raise":
+        raise ZeroDivisionError
+    elif what == "lock":  # cannot be pickled
+        return threading.Lock()
+    return os.getpid()
+
+
+def test_each_call_has_its_own_fate(client):
+    found = answers(
+        client,
+        call,
+        ["a", "endless", "abort", "b", "huge", "raise", "lock", "c"],
+        Limits(4.0, megabytes=200.0),
+    )
+    kinds = {what: type(one) for what, one in found.items()}
+    assert kinds == {
+        **dict.fromkeys("abc", int),
+        "endless": TooSlowError,
+        "abort": CrashedError,
+        "huge": MemoryError,
+        "raise": ZeroDivisionError,
+        "lock": TypeError,
+    }
+    assert os.getpid() not in found.values()
+
+
+def test_the_limits_are_those_of_a_call_alone(client):
+    assert answers(client, abs, [-1], Limits(float("inf"), 20.0)) == {-1: 1}
+    assert answers(client, time.sleep, [1.5, 1.6], Limits(2.0)) == {1.5: None, 1.6: None}
+    assert answers(client, call, ["huge"]) == {"huge": 500_000_000}
+
+
+def test_workers_take_messages_only_from_who_has_their_key(client):
+    address = client.scheduler.address
+    assert address.startswith("tls://127.0.0.1:")
+    workers = client.scheduler_info()["workers"]
+    assert all(one.startswith("tls://127.0.0.1:") for one in workers)
+    listening = {
+        (one.laddr.ip, one.status)
+        for process in (psutil.Process(), *psutil.Process().children(recursive=True))
+        for one in process.net_connections("tcp")
+        if one.status == psutil.CONN_LISTEN
+    }
+    assert {ip for ip, _ in listening} == {"127.0.0.1"}
+
+
+def test_workers_that_are_killed_at_random_lose_nothing(many, tmp_path):
+    over = threading.Event()
+
+    def kill():
+        chance = random.Random(0)
+        while not over.wait(chance.uniform(0.3, 1.2)):
+            children = psutil.Process().children(recursive=True)
+            workers = [one for one in children if "spawn_main" in " ".join(one.cmdline())]
+            if workers:
+                chance.choice(workers).send_signal(signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    timer = threading.Timer(8.0, over.set)
+
+    def on_row(_):
+        if not killer.is_alive() and not over.is_set():
+            killer.start()
+            timer.start()
+
+    case = g1stream.LibraryCase("check", tmp_path)
+    try:
+        run = g1stream.run_library([str(many)], [case], workers=2, on_row=on_row)
+    finally:
+        over.set()
+        timer.cancel()
+    killer.join()
+    assert (run.complete, run.lost) == (True, {})
+    statuses = g1stream.open_library(tmp_path).motions["status"]
+    assert len(statuses) == 40
+    assert set(statuses) <= {"ok", "crashed"}  # killed twice
+    assert (statuses == "ok").sum() > 30

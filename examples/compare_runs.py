@@ -3,7 +3,7 @@
     python examples/compare_runs.py before.mcap after.mcap
     python examples/compare_runs.py
 
-Prints what `g1stream compare` prints; several sessions on each side would tell noise from change.
+Prints what `g1stream compare` prints; several sessions on each side would show their spread.
 """
 
 import argparse

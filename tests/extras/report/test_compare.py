@@ -3,7 +3,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_ind
 
 import g1stream
 from g1stream.app.session import Session
@@ -30,26 +29,23 @@ def runs(levels):
     ]
 
 
-def test_a_change_beyond_the_noise_is_significant():
-    worse = g1stream.compare(*runs((0.010, 0.013)))
-    rmse = worse.metrics["rmse"]
+def test_several_sessions_show_their_spread():
+    found = g1stream.compare(*runs((0.010, 0.013)))
+    rmse = found.metrics["rmse"]
     assert rmse.change == pytest.approx(0.3, abs=0.05)
-    assert rmse.significant
-    assert worse.joints["left_knee_joint"].significant
-    expected = ttest_ind(rmse.base_values, rmse.other_values, equal_var=False).pvalue
-    assert rmse.p == pytest.approx(expected, rel=1e-6)
+    spreads = [max(values) - min(values) for values in (rmse.base_values, rmse.other_values)]
+    assert rmse.spread == max(spreads)
+    assert 0.0 < rmse.spread < rmse.difference
+    assert f"{rmse.spread:.2g} rad" in verdict(found)
+    (line,) = (one for one in str(found).splitlines() if one.startswith("rmse "))
+    assert line.split()[-1] == f"{rmse.spread:.2g}"
+    assert max(map(len, str(found).splitlines())) <= 80
 
 
-def test_noise_is_not():
-    same = g1stream.compare(*runs((0.01, 0.01)))
-    assert not any(one.significant for one in same.joints.values())
-    assert all(one.p <= one.p_adjusted <= 1.0 for one in same.joints.values())
-
-
-def test_one_session_a_side_tells_nothing():
+def test_one_session_a_side_has_none():
     found = g1stream.compare(session(bias=0.01), session(bias=0.02))
     assert found.metrics["rmse"].other == pytest.approx(2 * found.metrics["rmse"].base, rel=1e-3)
-    assert found.metrics["rmse"].significant is None
+    assert found.metrics["rmse"].spread is None
     assert max(map(len, str(found).splitlines())) <= 80
 
 
@@ -58,8 +54,6 @@ def test_joints_are_ranked_by_the_difference_and_not_by_its_share():
     other = {"waist_yaw_joint": 1e-7, "left_knee_joint": 0.025, "right_knee_joint": 0.031}
     found = differences([[base], [other]], {})
     assert list(ranked(found)) == ["left_knee_joint", "right_knee_joint", "waist_yaw_joint"]
-    found["waist_yaw_joint"].p_adjusted = 0.01
-    assert next(iter(ranked(found))) == "waist_yaw_joint"
 
 
 def test_the_verdict_has_the_digits_that_a_difference_needs():
@@ -84,7 +78,7 @@ def test_a_run_counts_once(tmp_path):
     for sides in (([once, again], [other]), ([other], [once, other, again])):
         with pytest.raises(RecordingError, match="the same run"):
             g1stream.compare(*sides)
-    assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].p < 1.0
+    assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].spread > 0.0
 
 
 def test_only_the_common_part_is_compared():
@@ -152,14 +146,8 @@ def test_the_command(tmp_path, capsys):
     assert main([*given, "--fail-if", "rmse < 1 * base", "--fail-if", "rmse > 0.015"]) == 1
     assert main([*given, "--fail-if", "torque_use > 1e9"]) == 1  # the sessions have no such metric
     assert "is unknown, because not all sessions have torque_use" in capsys.readouterr().out
-    missing = ["compare", "not there", "--with", "not there either"]
-    assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
-    assert "two or more" in capsys.readouterr().err
+    assert main([*given, "--fail-if", "p.rmse < 0.05"]) == 2
     assert main(["compare", paths[0]]) == 2
-    page = tmp_path / "compare.html"
-    assert main([*given, "-o", str(page)]) == 0
-    assert main([*given, "-o", str(page)]) == 2
-    assert main([*given, "-o", str(page), "--force"]) == 0
     assert main([*given, "--fail-if", "rmse"]) == 2
     capsys.readouterr()
     assert main([*given, "--json", "--fail-if", "rmse > 1 * base"]) == 1

@@ -7,7 +7,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.report.compare import CONDITION_NAMES
 from g1stream.extras.report.fail_if import FailIf
 
-NAMES = ("rmse", "delay", "p.rmse")
+NAMES = ("rmse", "delay", "success")
 
 
 def parse(text):
@@ -23,7 +23,7 @@ def parse(text):
         ("delay < -0.01", -0.02, None, True),
         ("rmse > 1.5 * base", 0.031, 0.02, True),
         ("rmse > 1.5*base", 0.029, 0.02, False),
-        ("p.rmse < 0.05", 0.01, None, True),
+        ("success < 0.05", 0.01, None, True),
         ("rmse > 0.02", None, None, None),
         ("rmse > 0.02", nan, None, None),
         ("rmse > 1.5 * base", 0.03, None, None),
@@ -39,7 +39,7 @@ def test_conditions(text, value, base, holds):
     [
         *("", "rmse", "rmse >", "rmse == 0.02", "0.02 < rmse", "rmse > base", "rmse > mae"),
         *("rmse > 0.02 and delay > 0", "rmse > nan", "rmse > 1e999", "rmse > 1.2.3"),
-        *("speed > 1", "p.rmse > 1.1 * base", "rmse > 1 * base + 1"),
+        *("speed > 1", "success > 1.1 * base", "rmse > 1 * base + 1"),
     ],
 )
 def test_what_is_no_condition(text):

@@ -15,8 +15,6 @@ from g1stream.app.session import open_session
 from g1stream.cli.demo import _write_page
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report.page import numbers, to_csv
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.sim.robot import SensorNoise
 
 
 class Page(HTMLParser):
@@ -228,64 +226,15 @@ def test_what_cannot_be_written(path, tmp_path):
     assert out.read_text().startswith("<!doctype html>")
 
 
-@pytest.mark.slow
-def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_path):
-    others = [write_session(*play(0.04, offset), name=f"{offset}.mcap") for offset in (0.2, 0.21)]
-    out = tmp_path / "compare.html"
-    first = write_session(*play(0.04, 0.19), name="first.mcap")
-    comparison = g1stream.compare([path, first], others, page=out)
-    text = out.read_text()
-    page, values = Page(text), json.loads(comparison.model_dump_json())
-    assert len(page.values) > 29 * 5
-    assert_values(page, values)
-    rmse = values["joints"]["left_knee_joint"]["base"]
-    assert page.shown["joints.left_knee_joint.base"] == f"{np.degrees(rmse):.4g}"
-    assert page.shown["metrics.rmse.base"] == f"{np.degrees(values['metrics']['rmse']['base']):.4g}"
-    shown = [key for key in page.shown if re.fullmatch(r"joints\.\w+\.base", key)]
-    assert shown == [f"joints.{name}.base" for name in comparison.joints]
-    (drawn,) = figures(text)
-    assert [one["side"] for one in drawn["lines"]] == [0, 0, 1, 1]
-    time = open_session(others[0]).tracking().motion_time
-    shown = floats(drawn["lines"][2]["error"][3]["x"])
-    assert (shown[0], shown[-1]) == pytest.approx((time[0], time[-1]), abs=0.01)
-    with pytest.raises(RecordingError):
-        g1stream.compare(path, others[0], page=out)
-
-
-@pytest.mark.slow
-def test_a_comparison_shows_the_simulated_joints(short, tmp_path):
-    played = g1stream.rollout("demo", seconds=1.0, config=short)
-    noisy = g1stream.rollout("demo", seconds=1.0, config=short, noise=SensorNoise())
-    plain, out, page = (tmp_path / name for name in ("plain.mcap", "gap.mcap", "compare.html"))
-    noisy.save(plain)
-    g1stream.gap(played, out=out)
-    part = played.sel(time=slice(0.3, 0.8)).save(tmp_path / "part.mcap")
-    comparison = g1stream.compare([plain, out], part, page=page)
-    (drawn,) = figures(page.read_text())
-    assert [one["side"] for one in drawn["lines"] if "simulated" in one] == [0]
-    assert {"mpjpe", "mpjpe_root"} & {*comparison.metrics} == {"mpjpe"}  # the pelvis was bolted
-    line = drawn["lines"][1]
-    knee = JOINT_NAMES.index("left_knee_joint")
-    time, angle = (floats(line["simulated"][knee][axis]) for axis in "xy")
-    measured = (floats(line["measured"][knee][axis]) for axis in "xy")
-    assert (time[0], time[-1]) == pytest.approx((0.3, 0.8), abs=0.01)
-    inside = np.isfinite(angle)
-    assert np.interp(time, *measured)[inside] == pytest.approx(angle[inside], abs=0.5)
-
-
 def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
     copy = tmp_path / "session.html"
     copy.write_bytes(path.read_bytes())
     for page in (tmp_path / "page.pdf", tmp_path / "page"):
         with pytest.raises(ConfigError):
             g1stream.report(copy, page)
-        with pytest.raises(ConfigError):
-            g1stream.compare(path, copy, page=page)
         assert not page.exists()
     with pytest.raises(RecordingError):
         g1stream.report(copy, copy, force=True)
-    with pytest.raises(RecordingError):
-        g1stream.compare(path, copy, page=copy, force=True)
     assert copy.read_bytes() == path.read_bytes()
 
 

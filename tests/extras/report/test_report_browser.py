@@ -91,20 +91,6 @@ def test_a_converted_motion_has_no_room_for_what_it_lacks(seen_on_a_phone, tmp_p
     assert seen["height"] < 400
 
 
-def test_the_sides_of_a_comparison_draw_over_each_other(
-    seen_on_a_phone, play, write_session, path, tmp_path
-):
-    page, other = tmp_path / "compare.html", write_session(*play(0.04, 0.2), name="other.mcap")
-    g1stream.compare(path, other, page=page)
-    seen = seen_on_a_phone(page)
-    assert {one[0] for one in seen["figures"]} == {"errors", "sides_rmse", "overlay"}
-    for side, file in (("base", path), ("other", other)):
-        tracking = g1stream.open_session(file).tracking()
-        tops = {axis: top for name, axis, top in seen["after"] if name == side}
-        assert tops["y"] == pytest.approx(np.degrees(tracking.measured[:, 3].max()), rel=1e-6)
-        assert tops["y2"] == pytest.approx(np.degrees(tracking.error[:, 3].max()), rel=1e-4)
-
-
 def test_it_prints_on_a4(chromium, path, tmp_path):
     page, pdf = tmp_path / "page.html", tmp_path / "page.pdf"
     g1stream.report(path, page)

@@ -7,14 +7,13 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import computed_field
 
 from g1stream.analysis.metrics import NAMED_METRICS, Metrics, metrics
-from g1stream.analysis.signals import Line, simulated
 from g1stream.analysis.summarise import flat, played
 from g1stream.analysis.summary import SuccessMetrics, Summary
 from g1stream.analysis.tracking import interpolated
@@ -22,35 +21,25 @@ from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.extras.report.fail_if import AS_ASKED
-from g1stream.extras.report.figures import curve
-from g1stream.extras.report.html import joints_by_limb, render_page
-from g1stream.extras.report.tables import difference_tables
-from g1stream.files import check_not_input, check_output_path, check_suffix, complete_file
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.records import Record, SessionInfo, read_record
 from g1stream.text import counted, labelled, printable, table
 from g1stream.types import Floats
 
 __all__ = [
     "CONDITION_NAMES",
-    "SIGNIFICANT",
     "Comparison",
     "Difference",
     "compare",
-    "compared",
     "differences",
     "ranked",
-    "significance",
     "verdict",
-    "write_page",
 ]
 
-_PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
 CONDITION_NAMES: Final = (
     *NAMED_METRICS,
     *AS_ASKED,
-    *(f"rmse.{part}" for part in _PARTS),
-    *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
+    *(f"rmse.{part}" for part in (*JOINT_GROUPS, *JOINT_NAMES)),
 )
 """The names for conditions on a comparison; sessions may lack the data for some."""
 
@@ -76,8 +65,7 @@ class Comparison(Record):
         base, other: paths of the sessions.
         start_s, stop_s: the compared part of the motion, which all sessions played.
         metrics: over all joints that played in every session, by the name for --fail-if.
-        limbs, joints: RMSE, rad, by name; the joints with significant differences first, then by
-            size of the difference.
+        limbs, joints: RMSE, rad, by name; the joints by size of the difference.
         terms: mean and standard deviation of each term that a learned policy observed, and of its
             actions, such as `std of joint_vel_rel`; empty if a session has no policy.
         terms_apart: RMS difference of these at the same motion time, means over the sessions of a
@@ -115,13 +103,13 @@ class Comparison(Record):
             },
             self.terms,
         )
-        rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "p (Holm)")]
+        rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "spread")]
         for kind in filter(None, kinds):
             rows += [_row(name, one) for name, one in kind.items()]
             rows.append(("",) * len(rows[0]))
         lines = [
             labelled("verdict   ", verdict(self)),
-            labelled("motion    ", compared(self)),
+            labelled("motion    ", f"{self.motion}, {self.start_s:.2f} to {self.stop_s:.2f} s"),
             labelled("base      ", ", ".join(self.base)),
             labelled("other     ", ", ".join(self.other)),
         ]
@@ -136,37 +124,29 @@ class Comparison(Record):
             )
         below = (
             "change: other - base, in % of base or, from tenfold on, other / base; in the unit "
-            f"if a percentage has no meaning; joints: the {_MOST_JOINTS} whose RMSE differs most, "
-            "significant ones first; *: significant. "
-            f"{significance(self)}"
+            "if a percentage has no meaning; spread: the largest difference between sessions of "
+            "one side, which several on each side show; joints: the "
+            f"{_MOST_JOINTS} whose RMSE differs most"
         )
         return "\n".join(
-            [*lines, "", *map(printable, table(rows, left=(0, 3, 5))), labelled("", below)]
+            [*lines, "", *map(printable, table(rows, left=(0, 3))), labelled("", below)]
         )
 
     def named(self) -> tuple[dict[str, float], dict[str, float]]:
         """The values that a condition can name, and the values of `base` for them.
 
-        The first are those of the other side, such as `rmse` and `rmse.left_leg`, and the adjusted
-        p-values of the differences, such as `p.rmse` and `p.left_leg`, and `as_asked`.
+        The first are those of the other side, such as `rmse` and `rmse.left_leg`, and `as_asked`.
         """
-        parts = self.limbs | self.joints
-        metrics = self.metrics | {f"rmse.{part}": one for part, one in parts.items()}
-        p = {
-            f"p.{name}": one.p_adjusted
-            for name, one in (self.metrics | parts).items()
-            if one.p_adjusted is not None
-        }
+        parts = (self.limbs | self.joints).items()
+        metrics = self.metrics | {f"rmse.{part}": one for part, one in parts}
         other = {name: one.other for name, one in metrics.items()}
-        return other | p | self.as_asked, {name: one.base for name, one in metrics.items()}
+        return other | self.as_asked, {name: one.base for name, one in metrics.items()}
 
 
 def compare(
     base: Sequence[Session | str | Path] | Session | str | Path,
     other: Sequence[Session | str | Path] | Session | str | Path,
     *,
-    page: str | Path | None = None,
-    force: bool = False,
     progress: Callable[[str, float], None] = lambda what, fraction: None,
 ) -> Comparison:
     """Compare sessions of one motion with others, over the part that all of them played.
@@ -174,23 +154,15 @@ def compare(
     Args:
         base: one or several sessions, or their files.
         other: one or several sessions, or their files, to compare with them.
-        page: path of an HTML page to write, which overlays both sides and needs no network.
-        force: replace an existing page.
         progress: called with a label and the fraction done, 0 to 1.
 
     Returns:
-        The differences. Noise and change can only be distinguished with two or more sessions on
-        each side.
+        The differences. Two or more sessions on each side show how much of them may be noise.
 
     Raises:
-        ConfigError: the page does not end in .html.
         RecordingError: a session has no tracking error or another motion, no joint played in
-            all of them, or two on a side are the same; the page cannot be written, or joints that
-            `simulate` added cannot be decoded.
+            all of them, or two on a side are the same.
     """
-    if page is not None:
-        check_suffix(Path(page), "a page", ".html")
-        check_output_path(Path(page), force=force)  # before the sessions are read
     several = [[side] if isinstance(side, (Session, str, Path)) else side for side in (base, other)]
     if not all(several):
         raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
@@ -203,8 +175,6 @@ def compare(
     for runs in sides:
         _require_different(runs)
     runs = [*sides[0], *sides[1]]
-    if page is not None:
-        check_not_input(Path(page), *(Path(run.path) for run in runs))
     start, stop = max(run.start for run in runs), min(run.stop for run in runs)
     joints = tuple(sorted(set.intersection(*({*run.joints} for run in runs))))
     if not joints:
@@ -218,7 +188,7 @@ def compare(
         raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
     found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
     observed = _observed(sides, start, stop)
-    comparison = Comparison(
+    return Comparison(
         motion=runs[0].motion,
         base=[run.path for run in sides[0]],
         other=[run.path for run in sides[1]],
@@ -240,11 +210,6 @@ def compare(
         incomplete={run.path: run.incomplete for run in runs if run.incomplete},
         as_asked=_lowest([run.as_asked for run in runs]),
     )
-    if page is not None:
-        sources = [[run.source for run in side] for side in sides]
-        progress("drawing", 0.0)
-        write_page(comparison, sources, joints, Path(page), force=force)
-    return comparison
 
 
 class _Run(NamedTuple):
@@ -361,7 +326,7 @@ def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
 
 
 def _require_different(side: Sequence[_Run]) -> None:
-    """Refuse a run given twice: without noise every difference from it would be significant."""
+    """Refuse a run given twice: it would make the spread of its side too small."""
     first: dict[bytes, _Run] = {}
     for run in side:
         if (same := first.setdefault(run.measured, run)) is not run:
@@ -504,10 +469,6 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
             yield name, "not set" if value is None else str(value)
 
 
-SIGNIFICANT: Final = 0.05
-"""A difference with an adjusted p-value below this is significant."""
-
-
 class Difference(Record):
     """A metric on both sides.
 
@@ -517,8 +478,6 @@ class Difference(Record):
         base_values, other_values: value of each session.
         change: (other - base) / base; None if base is 0, or if the metric can have either sign, so
             that a percentage has no meaning.
-        p: p-value of Welch's t-test; None with one session on a side.
-        p_adjusted: by Holm's method, over the metrics of the same kind.
     """
 
     unit: str
@@ -527,8 +486,6 @@ class Difference(Record):
     base_values: list[float]
     other_values: list[float]
     change: float | None = None
-    p: float | None = None
-    p_adjusted: float | None = None
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -538,9 +495,12 @@ class Difference(Record):
 
     @computed_field  # type: ignore[prop-decorator]
     @property
-    def significant(self) -> bool | None:
-        """Whether it exceeds the noise from run to run; None if that is unknown."""
-        return None if self.p_adjusted is None else self.p_adjusted < SIGNIFICANT
+    def spread(self) -> float | None:
+        """Largest difference between sessions of one side; None with one session on each."""
+        sides = self.base_values, self.other_values
+        if max(map(len, sides)) < 2:
+            return None
+        return max(max(values) - min(values) for values in sides)
 
 
 def differences(
@@ -548,7 +508,7 @@ def differences(
     units: Mapping[str, str],
     signed: Collection[str] = (),
 ) -> dict[str, Difference]:
-    """Differences of the metrics that all sessions have, by name, tested together.
+    """Differences of the metrics that all sessions have, by name.
 
     The default unit is rad; `signed` metrics can have either sign.
     """
@@ -565,42 +525,16 @@ def differences(
             base_values=values[0],
             other_values=values[1],
             change=(other - base) / base if base and name not in signed else None,
-            p=_welch(*map(np.array, values)),
         )
-    # Holm: the k-th smallest of n p-values is multiplied by n + 1 - k, and at least the previous
-    # one.
-    ordered = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
-    least = 0.0
-    for i, one in enumerate(ordered):
-        least = max(least, min(1.0, (len(ordered) - i) * (one.p or 0.0)))
-        one.p_adjusted = least
     return found
 
 
 def ranked(found: Mapping[str, Difference]) -> dict[str, Difference]:
-    """Sort by significance, then by the size of the difference.
+    """Sort by the size of the difference.
 
     A sort by percentage would put joints with a base of 1e-7 rad first.
     """
-    key = lambda one: (not one[1].significant, -abs(one[1].difference))  # noqa: E731
-    return dict(sorted(found.items(), key=key))
-
-
-def _welch(a: Floats, b: Floats) -> float | None:
-    """The two-sided p-value of Welch's t-test; None with one value on a side."""
-    from scipy.special import stdtr
-
-    if min(len(a), len(b)) < 2:
-        return None
-    errors = [one.var(ddof=1) / len(one) for one in (a, b)]
-    apart, error = abs(a.mean() - b.mean()), sum(errors)
-    # A metric that is equal in all sessions of a side, such as a rate, has no noise.
-    if error <= np.square(1e-12 * np.abs(np.concatenate([a, b])).max()):
-        return 1.0 if apart <= 1e-12 * np.abs(a).max() else 0.0
-    degrees = error**2 / sum(
-        one**2 / (len(values) - 1) for one, values in zip(errors, (a, b), strict=True)
-    )
-    return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
+    return dict(sorted(found.items(), key=lambda one: -abs(one[1].difference)))
 
 
 #: Number of sessions that were not played as asked that the verdict names.
@@ -619,166 +553,28 @@ def _share(change: float) -> str:
 
 def _row(name: str, one: Difference) -> tuple[str, ...]:
     change = f"{one.difference:+.3g}" if one.change is None else _share(one.change)
-    p = "" if one.p_adjusted is None else _p(one.p_adjusted)
-    mark = " *" if one.significant else ""
-    return name, f"{one.base:.4g}", f"{one.other:.4g}", one.unit, change, p + mark
+    spread = "" if one.spread is None else f"{one.spread:.2g}"
+    return name, f"{one.base:.4g}", f"{one.other:.4g}", one.unit, change, spread
 
 
-def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
+def verdict(comparison: Comparison) -> str:
     """The change of the tracking error, in one sentence; before it, the runs that do not count."""
     short = [f"{Path(path).name} {why}" for path, why in comparison.incomplete.items()]
     if short:
         of = counted(len(comparison.base) + len(comparison.other), "session")
         more = f", and {len(short) - _MOST_SHORT} more" * (len(short) > _MOST_SHORT)
         text = f"{len(short)} of {of} not played as asked ({'; '.join(short[:_MOST_SHORT])}{more})"
-        return f"{text}. {verdict(comparison.model_copy(update={'incomplete': {}}), unit)}"
-    rmse, joints = comparison.metrics["rmse"], comparison.joints.values()
-    base, other = (math.degrees(x) if unit == "deg" else x for x in (rmse.base, rmse.other))
+        return f"{text}. {verdict(comparison.model_copy(update={'incomplete': {}}))}"
+    rmse = comparison.metrics["rmse"]
+    noise = "with one session on each side it is unknown whether this is noise"
+    if rmse.spread is not None:
+        noise = f"sessions of one side differ by up to {rmse.spread:.2g} rad"
     for digits in range(_FEWEST_DIGITS, _MOST_DIGITS + 1):
-        figures = f"{other:.{digits}g}", f"{base:.{digits}g}"
-        if figures[0] != figures[1]:
+        base, other = (f"{value:.{digits}g}" for value in (rmse.base, rmse.other))
+        if base != other:
             change = "" if rmse.change is None else f" ({_share(rmse.change)})"
-            text = f"an RMSE of {figures[0]} {unit} instead of {figures[1]}{change}"
+            text = f"an RMSE of {other} rad instead of {base}{change}; {noise}"
             break
     else:
-        text = f"the same RMSE on both sides, {base:.{_FEWEST_DIGITS}g} {unit}"
-    text = f"The joints followed with {text}"
-    if figures[0] == figures[1] and not rmse.significant:
-        return f"{text}."
-    if rmse.p_adjusted is None:
-        return f"{text}; with one session on a side it is unknown whether this is noise."
-    noise = "more than" if rmse.significant else "which does not exceed"
-    closer = sum(bool(one.significant) and one.difference < 0.0 for one in joints)
-    farther = sum(bool(one.significant) and one.difference > 0.0 for one in joints)
-    return (
-        f"{text}, {noise} the noise from run to run (p {_p(rmse.p_adjusted)}); of "
-        f"{counted(len(joints), 'joint')} {closer} followed more closely and {farther} less "
-        "closely, beyond that noise."
-    )
-
-
-def compared(comparison: Comparison) -> str:
-    """The compared part of the motion."""
-    return f"{comparison.motion}, {comparison.start_s:.2f} to {comparison.stop_s:.2f} s"
-
-
-def significance(comparison: Comparison) -> str:
-    """An explanation of the p-values, or of their absence."""
-    sides = len(comparison.base), len(comparison.other)
-    if min(sides) < 2:
-        return (
-            f"With {sides[0]} and {sides[1]} sessions no difference can be distinguished from the "
-            "noise between runs: give two or more on each side (rollouts: each with its own "
-            "`noise`)."
-        )
-    return (
-        f"Significant means p < {SIGNIFICANT:g} in Welch's t-test on {sides[0]} and {sides[1]} "
-        "sessions, adjusted for the number of rows of a kind (Holm)."
-    )
-
-
-def _p(value: float) -> str:
-    return "<0.001" if value < 0.001 else f"{value:.3f}"
-
-
-#: Most points for all measured lines of a joint, so that a page with many sessions is not larger.
-_MOST_POINTS: Final = 8000
-#: Colours of base and other.
-_COLOURS: Final = ("#0072b2", "#d55e00")
-
-
-def write_page(
-    comparison: Comparison,
-    sources: Sequence[Sequence[Session | str | Path]],
-    joints: Sequence[int],
-    path: Path,
-    *,
-    force: bool = False,
-) -> None:
-    """Write the page of a comparison of sessions, or their files, for these motor indices."""
-    with complete_file(path, force=force) as temporary:
-        drawn = _drawn(comparison, sources, list(joints))
-        rmse = comparison.metrics["rmse"]
-        worse = "bad" if rmse.difference > 0.0 else "good"
-        text = render_page(
-            "comparison.html",
-            [drawn],
-            title="comparison",
-            heading=f"Comparison: {comparison.motion}",
-            overview=None,
-            verdict=verdict(comparison, "deg"),
-            good=worse if rmse.significant else "",  # otherwise it may be noise
-            compared=[
-                ("motion", compared(comparison)),
-                ("base", ", ".join(comparison.base)),
-                ("other", ", ".join(comparison.other)),
-            ],
-            differs=[(name, *sides) for name, sides in comparison.differs.items()],
-            apart=[(name, f"{value:.4g}") for name, value in comparison.terms_apart.items()],
-            tables=difference_tables(comparison.model_dump(mode="json")),
-            limbs=joints_by_limb(comparison.joints),
-            first_joint=drawn["first_joint"],
-            significance=significance(comparison),
-        )
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _drawn(
-    comparison: Comparison, sources: Sequence[Sequence[Session | str | Path]], joints: list[int]
-) -> dict[str, Any]:
-    """Data for the page's script; times are s of the motion, angles degrees.
-
-    Signals are reduced without losing a peak, so that the page does not grow with the sessions.
-    """
-    lines: list[dict[str, Any]] = []
-    reference: list[dict[str, str]] = []
-    most = max(200, _MOST_POINTS // (1 + sum(map(len, sources))))
-    for number, side in enumerate(sources):
-        for source in side:
-            session = source if isinstance(source, Session) else open_session(source)
-            found = session.tracking()
-            inside = (found.motion_time >= comparison.start_s) & (
-                found.motion_time <= comparison.stop_s
-            )
-            time = found.motion_time[inside]
-            asked = np.degrees(found.reference[inside])
-            measured = np.degrees(found.measured[inside])
-            error = asked - measured
-            rms = np.sqrt(np.mean(np.square(error[:, joints]), axis=1, keepdims=True))
-            reference = reference or _curves(time, asked, most)
-            line = {
-                "side": number,
-                "name": session.path.name,
-                "measured": _curves(time, measured, most),
-                "error": _curves(time, error, most),
-                "rms": _curves(time, rms, most)[0],
-            }
-            for one in simulated(session, "q", range(N_JOINTS)):
-                at = np.interp(one.time, found.time, found.motion_time, -np.inf, np.inf)
-                shown = (at >= comparison.start_s) & (at <= comparison.stop_s)
-                line["simulated"] = _curves(at[shown], one.values[shown], most)
-            lines.append(line)
-    return {
-        "sides": [
-            {"name": name, "colour": colour, "rmse_deg": _of_each_joint(comparison, name)}
-            for name, colour in zip(("base", "other"), _COLOURS, strict=True)
-        ],
-        "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
-        "first_joint": JOINT_NAMES.index(next(iter(comparison.joints))),
-        "reference": reference,
-        "lines": lines,
-    }
-
-
-def _curves(time: Floats, values: Floats, most: int) -> list[dict[str, str]]:
-    line = Line.from_samples("", time, values)
-    return [curve(line.time, column, most) for column in line.values.T]
-
-
-def _of_each_joint(comparison: Comparison, side: str) -> list[list[float] | None]:
-    """RMSE of each session of a side, deg, by motor index; None for a joint not compared."""
-    of = comparison.joints
-    return [
-        np.degrees(getattr(of[name], f"{side}_values")).tolist() if name in of else None
-        for name in JOINT_NAMES
-    ]
+        text = f"the same RMSE on both sides, {rmse.base:.{_FEWEST_DIGITS}g} rad"
+    return f"The joints followed with {text}."

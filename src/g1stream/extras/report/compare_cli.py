@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 class Compare(SessionFlags, QuietFlag):
     """Compares sessions of the same motion, over the part that all of them played.
 
-    With two or more sessions on each side it shows which differences exceed the noise from run to
-    run (Welch's t-test, adjusted by Holm's method). A condition names a metric of the table,
-    `rmse.left_leg` or `rmse.left_knee_joint`, or the p-value of a difference: `p.rmse`,
-    `p.left_leg` or `p.left_knee_joint`. `base` is the base's mean of the same metric.
+    With several sessions on a side it shows how much they differ among themselves. A condition
+    names a metric of the table, `rmse.left_leg` or `rmse.left_knee_joint`. `base` is the base's
+    mean of the same metric. `g1stream report` draws several sessions.
 
     A condition also fails if a session of either side ended early, is void, or played less than was
     asked. A condition on `completed`, `played` or `success` replaces this rule; these names have
@@ -39,25 +38,20 @@ class Compare(SessionFlags, QuietFlag):
     Examples:
       g1stream compare before.mcap --with after.mcap
       g1stream compare a1.mcap a2.mcap a3.mcap --with b1.mcap b2.mcap b3.mcap
-      g1stream compare good.mcap --with new.mcap -o compare.html
       g1stream compare good.mcap --with new.mcap --fail-if 'rmse > 1.1 * base'
-      g1stream compare good?.mcap --with new?.mcap --fail-if 'p.rmse < 0.05'
       g1stream compare a.mcap --with b.mcap --fail-if 'played < 0.5'
 
     Exit codes:
       0  compared
       1  a condition of --fail-if holds, or the sessions lack its metric, or
          with --fail-if a session was not played as asked
-      2  bad input: not sessions of the same motion, an invalid condition,
-         a page that cannot be written
+      2  bad input: not sessions of the same motion, or an invalid condition
     """
 
     base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")
     other: tuple[Path, ...] = flag(
         MISSING, "Session files to compare with the base.", "OTHER...", aliases=("--with",)
     )
-    out: Path | None = flag(None, "Write a page that overlays both sides.", "HTML", aliases=("-o",))
-    force: bool = flag(False, "Replace an existing page.")
     fail_if: list[str] = flag(
         (),
         "Exit code 1 if this holds: NAME OP NUMBER, or NAME OP NUMBER * base, OP one of "
@@ -81,17 +75,11 @@ class Compare(SessionFlags, QuietFlag):
         with_base = [name for name in CONDITION_NAMES if name.partition(".")[0] in NAMED_METRICS]
         # Checked before the sessions are read.
         conditions = FailIf.parse_all(self.fail_if, CONDITION_NAMES, with_base)
-        tested = [one.name for one in conditions if one.name.startswith("p.")]
-        if tested and min(len(self.base), len(self.other)) < 2:
-            raise ConfigError(
-                f"{tested[0]} needs several sessions to estimate the noise.",
-                "Give two or more on each side.",
-            )
         with showing_progress() as progress:
             sides: list[list[Session | Path]] = [[*self.base], [*self.other]]
             if self.motion is not None:  # otherwise sessions are opened one at a time
                 sides = [[self.open(path) for path in side] for side in (self.base, self.other)]
-            comparison = compare(*sides, page=self.out, force=self.force, progress=progress)
+            comparison = compare(*sides, progress=progress)
         other, base = comparison.named()
         truths = [one.holds(other.get(one.name), base.get(one.name)) for one in conditions]
         failed = any(truth is not False for truth in truths)

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import base64
 import csv
+import gzip
 import io
+import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime, timezone
 from functools import partial
+from importlib import resources
 from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
+from g1stream._version import __version__
 from g1stream.analysis.metrics import Metrics
 from g1stream.analysis.summarise import flat, played
 from g1stream.analysis.summary import Summary, outcome, session_facts, stream_facts
@@ -22,13 +27,13 @@ from g1stream.extras.physics.result import MotionPhysics, Verdict
 from g1stream.extras.policy.steps import PolicySteps, policy_steps
 from g1stream.extras.report.cause import WorstError, worst_error
 from g1stream.extras.report.figures import figures
-from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import overview, physics_tables, policy_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.motion.limits import Interval
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.optional import import_extra
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.motions import attached_motion
-from g1stream.text import counted, short_name
+from g1stream.text import counted, printable, short_name
 
 if TYPE_CHECKING:
     from g1stream.types import StreamSupport
@@ -146,8 +151,7 @@ def _page(sessions: Iterable[Session], progress: Progress) -> str:
         sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"
-    return render_page(
-        "report.html",
+    return _rendered(
         drawn,
         title=f"{title}: report",
         heading=f"Report of {title}",
@@ -183,7 +187,7 @@ def _section(
         "problems": summary.problems,
         "missing": {name: metrics["missing"].get(name) for name in ("tracking", "body", "torque")},
         "held": about_held if held else "",
-        "choice": joints_by_limb({*JOINT_NAMES} - {*summary.absent}) if has_signals else None,
+        "choice": _joints_by_limb({*JOINT_NAMES} - {*summary.absent}) if has_signals else None,
         "facts": facts,
         "stream": stream_facts(summary.stream) if summary.stream else [],
         "events": events,
@@ -301,3 +305,50 @@ def _picture(session: Session) -> dict[str, str]:
         kind = guess_type(path.name)[0] or ""
         shown[kind.partition("/")[0]] = f"data:{kind};base64,{data}"
     return shown
+
+
+def _rendered(drawn: Sequence[Mapping[str, Any]], **values: Any) -> str:
+    """Render the page with the script that draws its figures.
+
+    Text is escaped, including terminal control characters, because it may come from a file or peer.
+    """
+    jinja = import_extra("jinja2", "report", "A report needs")
+    plotly = import_extra("plotly.offline", "report", "A report needs")
+
+    environment = jinja.Environment(
+        loader=jinja.PackageLoader("g1stream.extras.report", "."),
+        autoescape=True,
+        undefined=jinja.StrictUndefined,
+        trim_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )
+    text: str = environment.get_template("report.html").render(
+        values,
+        made=f"g1stream {__version__}, {datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC",
+        style=_resource(jinja, "report.css"),
+        script=_resource(jinja, "report.js"),
+        plotly=_packed(plotly.get_plotlyjs()),
+        figures=_packed(json.dumps(drawn)),
+    )
+    return text
+
+
+def _joints_by_limb(shown: Container[str]) -> dict[str, dict[int, str]]:
+    """The joints in `shown` by limb and motor index, with readable names."""
+    limbs = {
+        limb.replace("_", " "): {
+            j: short_name(JOINT_NAMES[j]) for j in joints if JOINT_NAMES[j] in shown
+        }
+        for limb, joints in JOINT_GROUPS.items()
+    }
+    return {limb: joints for limb, joints in limbs.items() if joints}
+
+
+def _packed(text: str) -> str:
+    return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
+
+
+def _resource(jinja: Any, name: str) -> Any:
+    """A file of this directory, inserted without escaping."""
+    text = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return jinja.utils.markupsafe.Markup(text)

@@ -18,7 +18,6 @@
   const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef", PINK = "#c2185b";
   const EVENTS = { event: MUTED, warning: "#d97706", error: "#b3261e" };
   const KINDS = { WARNING: "warning", ERROR: "error", FATAL: "error" }; // by level
-  const MOTION_TIME = "time in the motion, s";
   // A joint's panels from top to bottom, px; each has an axis and a legend of its own.
   const PANELS = { q: 260, error: 120, tau: 140 }, GAP = 36;
   const touch = matchMedia("(pointer: coarse)").matches;
@@ -137,51 +136,7 @@
         shapes: phases(session), annotations: names(session), xaxis: times(session),
         yaxis: axis("delay, ms", { rangemode: "tozero" }) })];
     },
-    errors(comparison) {
-      return [comparison.lines.map((one) => ofSide(comparison, one, "rms", one.rms)),
-        layout(300, { xaxis: axis(MOTION_TIME),
-                      yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
-    },
-    sides_rmse(comparison) {
-      const { joints } = comparison;
-      const mean = (values) => values && values.reduce((sum, one) => sum + one, 0) / values.length;
-      const bars = comparison.sides.map((side, i) => ({
-        type: "bar", name: side.name, x: joints, y: side.rmse_deg.map(mean), offsetgroup: i,
-        marker: { color: side.colour }, hovertemplate: "%{x}<br>%{y:.3f} deg<extra></extra>",
-        error_y: {
-          type: "data", visible: side.rmse_deg.some((one) => one?.length > 1),
-          symmetric: false, thickness: 1, width: 2, color: DARK,
-          array: side.rmse_deg.map((one) => one && Math.max(...one) - mean(one)),
-          arrayminus: side.rmse_deg.map((one) => one && mean(one) - Math.min(...one)),
-        },
-      }));
-      return [bars, layout(360, { barmode: "group", xaxis: jointAxis(), yaxis: axis("RMSE, deg") })];
-    },
-    overlay(comparison, chosen) {
-      const reference = line(comparison.reference[chosen],
-        { name: "reference", line: { width: 1, color: DARK, dash: "dash" } });
-      const rows = [["measured", "y"], ["simulated", "y"], ["error", "y2"]];
-      const traces = rows.flatMap(([what, yaxis]) => comparison.lines.filter((one) => one[what])
-        .map((one) => ofSide(comparison, one, what, one[what][chosen], yaxis)));
-      return [[...traces, reference], layout(520, {
-        xaxis: axis(MOTION_TIME, { anchor: "y2" }),
-        yaxis: axis("position, deg", { domain: [0.46, 1] }),
-        yaxis2: axis("reference - measured, deg", { domain: [0, 0.38] }),
-      })];
-    },
   };
-  // A line of a session. The legend names each side once, and what was simulated for it; a name
-  // shows or hides all its lines.
-  function ofSide(comparison, own, what, curve, yaxis = "y") {
-    const { name: side, colour } = comparison.sides[own.side];
-    const [more, dash] = what === "simulated" ? [", simulated", "dot"] : ["", "solid"];
-    const first = comparison.lines.find((one) => one.side === own.side && one[what]) === own;
-    return line(curve, {
-      yaxis, name: side + more, legendgroup: side + more, showlegend: first && yaxis === "y",
-      opacity: 0.8, line: { width: 1.3, color: colour, dash }, text: own.name,
-      hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(own.name)}${more}<extra></extra>`,
-    });
-  }
 
   const config = {
     responsive: true, displaylogo: false, displayModeBar: touch ? false : "hover",

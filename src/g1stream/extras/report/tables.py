@@ -180,26 +180,6 @@ _OVERVIEW: Final = (
     Column("rate", "Hz", "metrics.timing.rate_hz", ".1f"),
     Column("skipped", "ticks", "metrics.timing.skipped_ticks"),
 )
-_SIGNIFICANCE: Final = (
-    Column("p", "Welch", "p", ".2g"),
-    Column("p", "Holm", "p_adjusted", ".2g"),
-    Column("significant", "", "significant"),
-)
-_DIFFERENCES: Final = (
-    Column("base", "", "base", ".4g"),
-    Column("other", "", "other", ".4g"),
-    Column("other - base", "", "difference", "+.3g"),
-    Column("unit", "", "unit"),
-    Column("change", "%", "change", "+.1f", 100.0),
-    *_SIGNIFICANCE,
-)
-_ANGLE_DIFFERENCES: Final = (
-    Column("base", "deg", "base", ".4g", _DEG),
-    Column("other", "deg", "other", ".4g", _DEG),
-    Column("other - base", "deg", "difference", "+.3g", _DEG),
-    Column("change", "%", "change", "+.1f", 100.0),
-    *_SIGNIFICANCE,
-)
 _EXCESSES: Final = (
     Column("what", "", "cause"),
     Column("of", "", "where"),
@@ -283,23 +263,6 @@ def overview(sessions: Sequence[Mapping[str, Any]]) -> Table | None:
     """A table with a row for each of several sessions, given as JSON of the report."""
     rows = [(Path(one["path"]).name, f"sessions.{i}", one) for i, one in enumerate(sessions)]
     return table("session", _OVERVIEW, rows)
-
-
-def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
-    """The tables of a `Comparison` in JSON: angles of all joints, limbs, joints, metrics."""
-
-    def rows(kind: str, *, angles: bool) -> list[tuple[str, str, Any]]:
-        values = comparison[kind].items()
-        of_kind = [(name, one) for name, one in values if (one["unit"] == "rad") is angles]
-        return [(_plain(name), f"{kind}.{name}", one) for name, one in of_kind]
-
-    return {
-        "angles": table("all joints", _ANGLE_DIFFERENCES, rows("metrics", angles=True)),
-        "limbs": table("RMSE of limb", _ANGLE_DIFFERENCES, rows("limbs", angles=True)),
-        "joints": table("RMSE of joint", _ANGLE_DIFFERENCES, rows("joints", angles=True)),
-        "metrics": table("metric", _DIFFERENCES, rows("metrics", angles=False)),
-        "terms": table("term", _DIFFERENCES, rows("terms", angles=False)),
-    }
 
 
 def physics_tables(

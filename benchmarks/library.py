@@ -116,7 +116,7 @@ def hour(name: str, root: Path) -> float:
     """CPU time, s, to check an hour of motion, as one file: a motion again and again."""
     motion, path = g1stream.load_motion(name), str(root / "hour.npz")
     motion.looped(1 + int(3600.0 / motion.duration)).trim(0.0, 3600.0).save(path)
-    ((_, content),) = contents_of([path])
+    ((_, content),) = contents_of(path)
     begun = time.process_time()
     rows = rows_of(Task(path, content, g1stream.LibraryCase("check", root / "hour")))
     assert rows.motion.status == "ok", rows.motion.reason

@@ -211,12 +211,8 @@ def _limits(config: Config) -> tuple[float, float]:
     return config.stream.rate, config.safety.position_margin
 
 
-def contents_of(locations: list[str]) -> list[tuple[str, Content]]:
-    """The motions at some paths, with their hashes."""
-    return [pair for location in locations for pair in _contents_at(location)]
-
-
-def _contents_at(location: str) -> list[tuple[str, Content]]:
+def contents_of(location: str) -> list[tuple[str, Content]]:
+    """The motions at a path, with their hashes."""
     try:
         file, members = motions_at(location)
         whole = content_hash(file)

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import Content, Task, contents_of, rows_of
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from g1stream.extras.library.table import MotionRow, Rows, Status, TableWriter
 
 __all__ = ["LibraryRun", "run_library"]
-
-#: Number of files that are hashed in one call.
-_BATCH: Final = 32
 
 
 @dataclass
@@ -181,23 +178,15 @@ def _contents(
     client: Any, locations: list[str], run: LibraryRun, stop: Callable[[], bool]
 ) -> Iterator[tuple[str, Content]]:
     """The content at each location."""
-    batches = [locations[i : i + _BATCH] for i in range(0, len(locations), _BATCH)]
-    while batches:
-        again: list[list[str]] = []
-        for pairs in completed(client, contents_of, batches, stop=stop):
-            for batch, future in pairs:
-                crashed = _crashed(future)
-                if crashed and len(batch) > 1:
-                    again += [[location] for location in batch]
-                    continue
-                run.hashed += len(batch)
-                if crashed:
-                    yield batch[0], Content("", crashed.cause)
-                elif fault := _fault(future):
-                    run.lost |= dict.fromkeys(batch, fault)
-                else:
-                    yield from future.result()
-        batches = again
+    for pairs in completed(client, contents_of, locations, stop=stop):
+        for location, future in pairs:
+            run.hashed += 1
+            if crashed := _crashed(future):
+                yield location, Content("", crashed.cause)
+            elif fault := _fault(future):
+                run.lost[location] = fault
+            else:
+                yield from future.result()
 
 
 def _tasks(

@@ -16,7 +16,7 @@ import time
 from collections import deque
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from ipaddress import ip_address
@@ -79,33 +79,33 @@ def _import() -> None:
         import_module(module)
 
 
-def _within(limits: Limits | None, function: Callable[[T], R], item: T) -> R:
+def _within(
+    limits: Limits | None, function: Callable[[T], R], item: T
+) -> tuple[R | None, Exception | None]:
     """Call a function with an item, in a worker that makes no other call meanwhile."""
-    if limits is None:
-        return function(item)
+    limits = limits or Limits(math.inf, math.inf)
     # In the unit of RLIMIT_DATA (proc(5), statm): private writable memory.
     own = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    most = own + round(limits.megabytes * 1e6)
-    if hard != resource.RLIM_INFINITY:
-        most = min(most, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    if math.isfinite(limits.megabytes):
+        most = own + round(limits.megabytes * 1e6)
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
     # SIGALRM, which nothing handles, ends the process whatever it does.
     signal.setitimer(signal.ITIMER_REAL, min(limits.seconds, _LONGEST))
     try:
-        return function(item)
+        return function(item), None
+    except Exception as error:
+        return None, error.with_traceback(None)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-@dataclass(eq=False)
-class _Call(Generic[T, R]):
-    item: T
-    crashed: bool = False  # it may be what its worker made when that ended
-    begun: float = 0.0  # when its worker could make it, s
-    remote: Any = None  # Dask's future
-    result: Future[R] = field(default_factory=Future)
+def _each(
+    limits: Limits | None, function: Callable[[T], R], items: list[T]
+) -> list[tuple[R | None, Exception | None]]:
+    return [_within(limits, function, item) for item in items]
 
 
 def completed(
@@ -117,9 +117,9 @@ def completed(
 ) -> Iterator[list[tuple[T, Future[R]]]]:
     """Call a function with each item; yields completed calls, some together.
 
-    A call whose worker ends is repeated once, and fails with a `CrashedError` if the other one ends
-    as well, or with a `TooSlowError` if its time was over. If the scheduler ends, the pending calls
-    are cancelled. The scheduler has two calls for each worker at a time.
+    A call whose worker ends is repeated once, alone. It fails with a `CrashedError` if that worker
+    ends as well, or with a `TooSlowError` if its time was over. If the scheduler ends, the calls
+    that it has are cancelled. It has few at a time, whatever the number of items.
 
     Args:
         client: client of Dask. Its workers with one thread are used.
@@ -128,19 +128,29 @@ def completed(
         limits: limits of each call.
         stop: polled; True ends without waiting for pending calls.
     """
-    calls = _Calls(client, partial(_within, limits, function), items, limits)
+    calls = _Calls(client, function, items, limits)
     try:
         while calls.pending() and not stop():
-            if finished := calls.finished():
-                yield [(call.item, call.result) for call in finished]
+            if pairs := calls.finished():
+                yield pairs
     finally:
         calls.cancel()
 
 
-class _Calls(Generic[T, R]):
-    """Calls, of which each worker has a queue of its own.
+@dataclass(eq=False)
+class _Batch(Generic[T]):
+    """Calls that are sent together, because sending one alone takes several ms."""
 
-    Dask would choose the worker, and not say which of its calls it made when it ended, or how long.
+    items: list[T]
+    again: bool  # a call that is repeated
+    begun: float = 0.0  # when its worker could make it, s
+    remote: Any = None  # Dask's future
+
+
+class _Calls(Generic[T, R]):
+    """Calls, of which each worker has a queue of its own: those that it makes, and the next.
+
+    Dask would choose the worker, and not say what it did when it ended, or how long.
     """
 
     def __init__(
@@ -150,27 +160,30 @@ class _Calls(Generic[T, R]):
         items: Sequence[T],
         limits: Limits | None,
     ) -> None:
-        self._client, self._function, self._limits = client, function, limits
-        self._waiting = deque(_Call[T, R](item) for item in items)
-        self._again: deque[_Call[T, R]] = deque()  # once their worker has ended
+        self._client, self._limits = client, limits
+        self._function = partial(_each, limits, function)
+        self._waiting, self._again = deque(items), deque[T]()
         self._importing: dict[str, Any] = {}  # by the address of a worker
-        self._queues: dict[str, list[_Call[T, R]]] = {}  # by address; the first call is being made
-        self._answers: SimpleQueue[tuple[str, _Call[T, R], Any, Future[R]]] = SimpleQueue()
+        self._queues: dict[str, list[_Batch[T]]] = {}  # by address; it makes the first
+        self._answers: SimpleQueue[tuple[str, _Batch[T], Any, Future[Any]]] = SimpleQueue()
         self._look, self._next_look, self._due = self._ask(client.nthreads), 0.0, 0.0
+        self._seconds = math.inf  # of a call
 
     def pending(self) -> bool:
         return bool(self._waiting or self._again or any(self._queues.values()))
 
-    def cancel(self) -> list[_Call[T, R]]:
+    def cancel(self) -> list[tuple[T, Future[R]]]:
         """Cancel the calls that workers have."""
-        calls = [call for queue in self._queues.values() for call in queue]
-        for call in calls:
-            call.remote.cancel()
-            call.result.cancel()
+        batches = [batch for queue in self._queues.values() for batch in queue]
         self._queues.clear()
-        return calls
+        for batch in batches:
+            batch.remote.cancel()
+        pairs = [(item, Future[R]()) for batch in batches for item in batch.items]
+        for _, future in pairs:
+            future.cancel()
+        return pairs
 
-    def finished(self) -> list[_Call[T, R]]:
+    def finished(self) -> list[tuple[T, Future[R]]]:
         """Finished calls, after a short time without any, or a short time after the first."""
         if self._client.status == "closed":  # the scheduler has ended
             self._waiting.clear()
@@ -182,8 +195,8 @@ class _Calls(Generic[T, R]):
             found += self._take(*self._answers.get(timeout=_POLL))
             while True:
                 self._send()
-                wait = max(0.0, self._due - time.monotonic())
-                found += self._take(*self._answers.get(timeout=wait))
+                left = max(0.0, self._due - time.monotonic())
+                found += self._take(*self._answers.get(timeout=left))
         if found:
             self._due = time.monotonic() + _TOGETHER
         return found
@@ -196,21 +209,21 @@ class _Calls(Generic[T, R]):
 
         return asyncio.run_coroutine_threadsafe(answer(), self._client.loop.asyncio_loop)
 
-    def _look_for_workers(self) -> list[_Call[T, R]]:
+    def _look_for_workers(self) -> list[tuple[T, Future[R]]]:
         """Find workers that came, and those that ended; returns the calls that failed so."""
         if not self._look.done() or time.monotonic() < self._next_look:
             return []
-        found: list[_Call[T, R]] = []
+        found: list[tuple[T, Future[R]]] = []
         if not (self._look.cancelled() or self._look.exception()):
             alive = {address for address, threads in self._look.result().items() if threads == 1}
             for address in self._queues.keys() - alive:
                 found += self._lose(address)
+            for address in self._importing.keys() - alive:
+                del self._importing[address]
             for address in alive - self._queues.keys() - self._importing.keys():
                 self._importing[address] = self._client.submit(
                     _import, workers=[address], pure=False
                 )
-            for address in self._importing.keys() - alive:
-                del self._importing[address]
             for address in [one for one, remote in self._importing.items() if remote.done()]:
                 del self._importing[address]
                 self._queues[address] = []
@@ -218,81 +231,98 @@ class _Calls(Generic[T, R]):
         return found
 
     def _send(self) -> None:
-        """Send calls to workers: to each one and the next, so that it need not wait.
+        """Send calls to workers, also the next, so that they need not wait.
 
-        The call that a worker made when it ended is not always known, as an answer may be lost with
-        it. Then both are repeated, each alone.
+        A worker that ends may take the answers to its last calls with it. So all that it had is
+        repeated, each call alone.
         """
         if self._client.status != "running":
             return
         for address, queue in self._queues.items():
             if not queue and self._again:
-                self._submit(address, queue, self._again.popleft())
-            elif not queue and not self._waiting:  # take the next one of another worker
-                for other in self._queues.values():
-                    if len(other) > 1:
-                        self._waiting.append(other.pop())
-                        self._waiting[0].remote.cancel()
-                        break
+                self._submit(address, queue, _Batch([self._again.popleft()], again=True))
+            elif not queue and not self._waiting:  # take the next ones of another worker
+                full = next((other for other in self._queues.values() if len(other) > 1), None)
+                if full:
+                    batch = full.pop()
+                    batch.remote.cancel()
+                    self._waiting.extend(batch.items)
             if not queue and self._waiting:
-                self._submit(address, queue, self._waiting.popleft())
+                self._submit(address, queue, self._next_batch())
         for address, queue in self._queues.items():
-            if len(queue) == 1 and not queue[0].crashed and self._waiting:
-                self._submit(address, queue, self._waiting.popleft())
+            if len(queue) == 1 and not queue[0].again and self._waiting:
+                self._submit(address, queue, self._next_batch())
 
-    def _submit(self, address: str, queue: list[_Call[T, R]], call: _Call[T, R]) -> None:
+    def _next_batch(self) -> _Batch[T]:
+        most = len(self._waiting) // (4 * len(self._queues))  # the last ones are for all workers
+        n = max(1, min(most, int(_TOGETHER / self._seconds)))
+        return _Batch([self._waiting.popleft() for _ in range(n)], again=False)
+
+    def _submit(self, address: str, queue: list[_Batch[T]], batch: _Batch[T]) -> None:
         # Without a fifo_timeout the worker makes its calls in this order.
-        call.remote = remote = self._client.submit(
-            self._function, call.item, workers=[address], pure=False, fifo_timeout=0
+        batch.remote = remote = self._client.submit(
+            self._function, batch.items, workers=[address], pure=False, fifo_timeout=0
         )
-        queue.append(call)
+        queue.append(batch)
         queue[0].begun = queue[0].begun if len(queue) > 1 else time.monotonic()
         answer = self._ask(lambda: remote)
-        answer.add_done_callback(lambda _: self._answers.put((address, call, remote, answer)))
+        answer.add_done_callback(lambda _: self._answers.put((address, batch, remote, answer)))
 
     def _take(
-        self, address: str, call: _Call[T, R], remote: Any, answer: Future[R]
-    ) -> list[_Call[T, R]]:
+        self, address: str, batch: _Batch[T], remote: Any, answer: Future[Any]
+    ) -> list[tuple[T, Future[R]]]:
         """The calls that are finished by an answer."""
         queue = self._queues.get(address, [])
-        if call not in queue or call.remote is not remote:  # it was sent to another worker
+        if batch not in queue or batch.remote is not remote:  # its worker has ended
             return []
         error = None if answer.cancelled() else answer.exception()
         if type(error).__name__ == "KilledWorker":
             self._look = self._ask(self._client.nthreads)  # the answer to come may be outdated
             return self._lose(address)
-        queue.remove(call)
+        now = time.monotonic()
+        self._seconds = max(1e-4, (now - batch.begun) / len(batch.items))
+        queue.remove(batch)
         if queue:
-            queue[0].begun = time.monotonic()
+            queue[0].begun = now
+        if error and len(batch.items) > 1:  # such as of an answer that cannot be pickled
+            self._again.extend(batch.items)
+            return []
+        pairs = [(item, Future[R]()) for item in batch.items]
+        answers = [(None, error)] if error or answer.cancelled() else answer.result()
+        for (_, future), (result, raised) in zip(pairs, answers, strict=False):
+            if raised:
+                future.set_exception(raised)
+            elif not answer.cancelled():
+                future.set_result(result)
         if answer.cancelled():
-            call.result.cancel()
-        elif error:
-            call.result.set_exception(error)
-        else:
-            call.result.set_result(answer.result())
-        return [call]
+            for _, future in pairs:
+                future.cancel()
+        return pairs
 
-    def _lose(self, address: str) -> list[_Call[T, R]]:
+    def _lose(self, address: str) -> list[tuple[T, Future[R]]]:
         """Forget a worker that has ended; returns the call that it made if that has failed."""
         queue = self._queues.pop(address)
-        for call in queue:
-            call.remote.cancel()
-        failed, most = queue[:1], self._limits.seconds if self._limits else math.inf
-        late = bool(queue) and time.monotonic() - queue[0].begun >= most
+        for batch in queue:
+            batch.remote.cancel()
+        if not queue:
+            return []
+        made, most = queue[0], self._limits.seconds if self._limits else math.inf
+        error: G1StreamError | None = None
         # The end of a worker is noticed a moment later.
-        if late and (len(queue) == 1 or most > _TIMEOUT):
-            text = f"It took longer than {most:g} s."
-            queue[0].result.set_exception(TooSlowError(text, "Raise --time-limit."))
-        elif queue and queue[0].crashed:
-            remedy = "Read the file with `g1stream motion`, and report the result."
-            text = "The process that computed it crashed, twice."
-            queue[0].result.set_exception(CrashedError(text, remedy))
-        else:
-            failed = []
-        for call in queue[len(failed) :]:
-            call.crashed = not failed
-            (self._waiting if failed else self._again).appendleft(call)
-        return failed
+        if time.monotonic() - made.begun >= most and (made.again or most > _TIMEOUT):
+            error = TooSlowError(f"It took longer than {most:g} s.", "Raise --time-limit.")
+        elif made.again:
+            error = CrashedError(
+                "The process that computed it crashed, twice.",
+                "Read the file with `g1stream motion`, and report the result.",
+            )
+        if error and len(made.items) == 1:
+            future = Future[R]()
+            future.set_exception(error)
+            self._waiting.extendleft(item for batch in queue[1:] for item in batch.items)
+            return [(made.items[0], future)]
+        self._again.extend(item for batch in queue for item in batch.items)
+        return []
 
 
 @contextmanager
@@ -325,12 +355,17 @@ def open_workers(
             yield client
         return
     import_extra("cryptography", "library", "Libraries need")
-    # Each process has an HTTP server, which then has no pages.
-    no_pages: dict[str, list[str]] = {
-        f"distributed.{of}.http.routes": [] for of in ("scheduler", "worker")
+    dask = import_extra("dask", "library", "Libraries need")
+    settings: dict[str, Any] = {
+        # Each process has an HTTP server, which then has no pages.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+        # Dask would have memory returned to the system so often that a check takes 1.25 times as
+        # long.
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     }
     try:
-        with import_extra("dask", "library", "Libraries need").config.set(no_pages):
+        with dask.config.set(settings):
             own = distributed.LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,

@@ -31,8 +31,8 @@ import g1stream
 from g1stream.app.sim import make_world
 from g1stream.config import load_config
 from g1stream.extras.fit.excite import exciting_motion
-from g1stream.extras.fit.gap import gap
 from g1stream.extras.fit.identify import Fit, FittedValue, fit_parameters
+from g1stream.extras.fit.simulated_session import gap
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.parameters import Parameters

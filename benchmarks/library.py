@@ -44,14 +44,14 @@ def make(directory: Path, n: int, seconds: float) -> None:
 def check(motions: list[Path], out: Path, **where: Any) -> dict[str, Any]:
     """Check motions, and return time and memory."""
     begun, spent = time.perf_counter(), time.process_time()
-    run = g1stream.run_library(
+    run = g1stream.library.run_library(
         [str(path) for path in motions],
-        [g1stream.LibraryCase("check", out)],
+        [g1stream.library.LibraryCase("check", out)],
         limits=Limits(megabytes=8000.0),
         **where,
     )
     whole, spent = time.perf_counter() - begun, time.process_time() - spent
-    rows = g1stream.open_library(out).motions
+    rows = g1stream.library.open_library(out).motions
     assert run.complete, run.lost
     assert (rows["status"] == "ok").all()
     return {
@@ -70,14 +70,14 @@ def piece(root: Path, n: int, seconds: float, workers: int, minutes: float) -> d
     if not (root / "motions").exists():
         make(root / "motions", n, seconds)
     spent = time.process_time()
-    run = g1stream.run_library(
+    run = g1stream.library.run_library(
         [str(root / "motions")],
-        [g1stream.LibraryCase("check", root / "library")],
+        [g1stream.library.LibraryCase("check", root / "library")],
         workers=workers,
         stop=lambda: time.perf_counter() - begun > 60.0 * minutes,
     )
     spent, memory = time.process_time() - spent, resident_mb(os.getpid())
-    rows = g1stream.open_library(root / "library").motions
+    rows = g1stream.library.open_library(root / "library").motions
     new = rows.tail(run.done)
     return {
         "known": run.known,
@@ -118,7 +118,7 @@ def hour(name: str, root: Path) -> float:
     motion.looped(1 + int(3600.0 / motion.duration)).trim(0.0, 3600.0).save(path)
     ((_, content),) = contents_of(path)
     begun = time.process_time()
-    rows = rows_of(Task(path, content, g1stream.LibraryCase("check", root / "hour")))
+    rows = rows_of(Task(path, content, g1stream.library.LibraryCase("check", root / "hour")))
     assert rows.motion.status == "ok", rows.motion.reason
     return time.process_time() - begun
 

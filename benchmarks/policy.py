@@ -93,12 +93,12 @@ def main() -> None:
         path = Path(temporary, f"{motion.name}.npz")
         motion.save(path)
         asked = cases(flags.policies, flags.delays, flags.runs, flags.out or Path(temporary, "out"))
-        run = g1stream.run_library(
+        run = g1stream.library.run_library(
             [str(path)], asked, workers=flags.workers, limits=Limits(3600.0, 8000.0)
         )
         if not run.complete:
             raise SystemExit(f"not computed: {run.lost}")
-        library = g1stream.open_library(asked[0].out)
+        library = g1stream.library.open_library(asked[0].out)
     asked_for = library.motions[library.motions["key"].isin(run.keys)]
     rows = {row["variant"]: row for row in asked_for.to_dict("records")}
     kinds: dict[tuple[str, str, float], list[dict[str, Any]]] = {}

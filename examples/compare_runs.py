@@ -21,13 +21,13 @@ def main() -> None:
     if len(args.sessions) not in (0, 2):
         parser.error("give two sessions, or none")
     if args.sessions:
-        comparison = g1stream.compare(*args.sessions)
+        comparison = g1stream.report.compare(*args.sessions)
     else:
         velocity, dynamics = (
             g1stream.rollout("demo", feedforward=kind, seconds=5.0)
             for kind in ("velocity", "dynamics")
         )
-        comparison = g1stream.compare(velocity, dynamics)
+        comparison = g1stream.report.compare(velocity, dynamics)
     print(comparison)
 
 

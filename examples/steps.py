@@ -28,7 +28,7 @@ def main() -> None:
     forward = np.repeat(np.arange(args.pairs) + 1, 2)
     motion = stepping(np.outer(forward, [args.stride, 0.0, 0.0]))
     motion.save(args.motion, force=args.force)
-    feet = g1stream.motion_physics(motion).verdicts["feet"]
+    feet = g1stream.physics.motion_physics(motion).verdicts["feet"]
     print(feet)
     if feet.playable == "yes":
         session = g1stream.rollout(motion, support="feet")

@@ -18,9 +18,10 @@ def stub() -> str:
         f"from g1stream.{module} import {name} as {name}"
         for name, module in sorted(g1stream._HOME.items(), key=lambda item: (item[1], item[0]))
     ]
+    lines += [f"from g1stream.extras import {name} as {name}" for name in g1stream._EXTRAS]
     version = "from g1stream._version import __version__ as __version__"
     head = "# Made by `make docs`."
-    own = ("__all__: list[str]", "_HOME: dict[str, str]")
+    own = ("__all__: list[str]", "_HOME: dict[str, str]", "_EXTRAS: tuple[str, ...]")
     return "\n".join([head, *sorted([*lines, version]), "", *own]) + "\n"
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import html
 import json
 import re
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -86,8 +86,7 @@ def _mathml(match: re.Match[str]) -> str:
 
 def _fields(name: str) -> str:
     """A table of the fields of a pydantic record, which its source declares by functions."""
-    module, _, kind = name.rpartition(".")
-    record: type[BaseModel] = getattr(import_module(module), kind)
+    record: type[BaseModel] = resolve_name(name)
     lines = ["| field | type | default | unit | meaning |", "|---|---|---|---|---|"]
     for key, field in record.model_fields.items():
         extra = field.json_schema_extra

@@ -9,7 +9,8 @@
     session.tracking().rmse  # (29,) rad
     session.reference.q, session.measured.q  # numpy arrays; the streams have log and publish times
 
-Modules are loaded when a name is first used, so importing the package is fast.
+Extras are modules: `g1stream.physics.motion_physics`, `g1stream.report.report`. A module is loaded
+when a name of it is first used, so importing the package is fast.
 """
 
 from importlib import import_module
@@ -23,8 +24,8 @@ _HOME = {
     for module, names in {
         "analysis.metrics": ("Metrics",),
         "analysis.summary": ("Summary",),
-        "analysis.tracking": ("Delay", "ErrorStats", "Tracking", "TrackingSummary"),
-        "app.convert": ("Conversion", "ConvertReport", "convert"),
+        "analysis.tracking": ("Tracking",),
+        "app.convert": ("Conversion", "convert"),
         "app.live": ("live",),
         "app.record": ("record",),
         "app.rollout": ("rollout",),
@@ -32,47 +33,35 @@ _HOME = {
         "app.sim": ("simulate",),
         "app.stream": ("stream",),
         "config": ("Config", "load_config"),
-        "dds.messages": ("LowState", "Samples"),
-        "errors": ("G1StreamError",),
-        "extras.fit.excite": ("exciting_motion",),
-        "extras.fit.gap": ("Gap", "gap"),
-        "extras.fit.identify": ("Fit", "fit_parameters"),
-        "extras.library.compute": ("LibraryCase",),
-        "extras.library.run": ("LibraryRun", "run_library"),
-        "extras.library.table": ("JointRow", "Library", "MotionRow", "open_library"),
-        "extras.physics.measure": ("motion_physics",),
-        "extras.physics.result": ("MotionPhysics",),
-        "extras.physics.stance": ("Standing",),
-        "extras.physics.stand": ("stand",),
-        "extras.report.compare": ("Comparison", "compare"),
-        "extras.report.page": ("report",),
+        "errors": (
+            "ConfigError",
+            "G1StreamError",
+            "MotionError",
+            "RecordingError",
+            "RobotError",
+            "SafetyError",
+            "SimError",
+            "WireError",
+        ),
         "motion.motion": ("Motion",),
         "motion.readers": ("load_motion",),
-        "motion.spline": ("TrajectoryPoint",),
         "motion.trajectory": ("Trajectory",),
         "robot.joints": ("JOINT_NAMES",),
         "robot.model": ("G1",),
-        "session.recording": ("Message",),
-        "session.records": ("PhaseInterval", "PolicyInfo"),
-        "session.streams": (
-            "BaseStream",
-            "CommandStream",
-            "LogEvent",
-            "MeasuredStream",
-            "PolicyStream",
-            "ReferenceStream",
-            "Stream",
-            "TorsoImuStream",
-        ),
-        "sim.robot": ("SensorNoise", "SimReport"),
+        "sim.robot": ("SensorNoise",),
+        "types": ("Phase",),
     }.items()
     for name in names
 }
+#: Extras with names of their own, such as `g1stream.fit.fit_parameters`.
+_EXTRAS = ("fit", "library", "physics", "report")
 
-__all__ = ["__version__", *_HOME]  # noqa: PLE0604
+__all__ = ["__version__", *_HOME, *_EXTRAS]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
+    if name in _EXTRAS:
+        return import_module(f"g1stream.extras.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'g1stream' has no attribute {name!r}")
     return getattr(import_module(f"g1stream.{_HOME[name]}"), name)

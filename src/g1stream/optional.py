@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 __all__ = [
     "EXTENSIONS",
     "extension",
     "import_extra",
+    "lazily",
     "load_object",
     "not_installed",
     "require_installed",
@@ -60,6 +64,22 @@ def load_object(where: str) -> Any:
             raise
         package, extra = error.name or "", module.split(".")[2]
         raise not_installed(package, extra, f"The extra `{extra}` needs") from error
+
+
+def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """The `__getattr__` of a package whose names are loaded when they are first used.
+
+    Args:
+        package: name of the package.
+        homes: module of each name, within the package.
+    """
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{homes[name]}"), name)
+
+    return load
 
 
 def import_extra(package: str, extra: str, purpose: str) -> Any:

@@ -101,20 +101,20 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
 def test_a_speed_that_a_remedy_gives_can_be_played():
     quick = stepping(np.outer([1, 1], [0.12, 0.0, 0.0])).at_speed(3.0)
     with pytest.raises(MotionError) as raised:
-        g1stream.stand(quick)
+        g1stream.physics.stand(quick)
     speed = float(re.search(r"at ([\d.]+) times this speed", raised.value.remedy)[1])
-    assert g1stream.stand(quick.at_speed(speed)).motion.duration > quick.duration
+    assert g1stream.physics.stand(quick.at_speed(speed)).motion.duration > quick.duration
 
 
 def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(standing_demo, tmp_path):
-    arms = g1stream.stand("demo", "arms")
+    arms = g1stream.physics.stand("demo", "arms")
     assert (standing_demo.upper_body, arms.upper_body) == (False, True)
     saved = standing_demo.motion.save(tmp_path / "demo.npz")
-    assert g1stream.stand(saved).joint_deg < 0.5 * standing_demo.joint_deg
+    assert g1stream.physics.stand(saved).joint_deg < 0.5 * standing_demo.joint_deg
     with pytest.raises(ConfigError):
-        g1stream.stand("demo", "left_leg")
+        g1stream.physics.stand("demo", "left_leg")
     with pytest.raises(ConfigError, match="23"):
-        g1stream.stand("demo", robot=G1.load("g1_23dof"))
+        g1stream.physics.stand("demo", robot=G1.load("g1_23dof"))
 
 
 @pytest.mark.slow

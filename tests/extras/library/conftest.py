@@ -23,7 +23,9 @@ def motions(tmp_path_factory):
 def checked(motions, tmp_path_factory):
     """The library of the motions, checked."""
     out = tmp_path_factory.mktemp("library")
-    run = g1stream.run_library([str(motions)], [g1stream.LibraryCase("check", out)], workers=2)
+    run = g1stream.library.run_library(
+        [str(motions)], [g1stream.library.LibraryCase("check", out)], workers=2
+    )
     return run, out
 
 

@@ -24,19 +24,22 @@ COST = ["seconds", "memory"]
 
 
 def test_the_result_is_that_of_one_machine(checked, motions, tmp_path):
-    case = g1stream.LibraryCase("check", tmp_path)
+    case = g1stream.library.LibraryCase("check", tmp_path)
     with dask_cluster() as (address, _, _):
-        run = g1stream.run_library([str(motions)], [case], cluster=address)
+        run = g1stream.library.run_library([str(motions)], [case], cluster=address)
     assert run.complete
     here, there = (
         library.motions.sort_values("key").drop(columns=COST).reset_index(drop=True)
-        for library in (g1stream.open_library(checked[1]), g1stream.open_library(tmp_path))
+        for library in (
+            g1stream.library.open_library(checked[1]),
+            g1stream.library.open_library(tmp_path),
+        )
     )
     pd.testing.assert_frame_equal(here, there)
 
 
 def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
-    case, killed = g1stream.LibraryCase("check", tmp_path), []
+    case, killed = g1stream.library.LibraryCase("check", tmp_path), []
 
     def kill(row):
         if not killed:
@@ -45,17 +48,17 @@ def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
             killed[0].kill()
 
     with dask_cluster(workers=2) as (address, _, workers):
-        run = g1stream.run_library([str(many)], [case], cluster=address, on_row=kill)
+        run = g1stream.library.run_library([str(many)], [case], cluster=address, on_row=kill)
     assert len(killed) == 1
     assert (run.complete, run.failed, run.lost) == (True, 0, {})
-    assert list(g1stream.open_library(tmp_path).motions["status"]) == ["ok"] * 40
+    assert list(g1stream.library.open_library(tmp_path).motions["status"]) == ["ok"] * 40
 
 
 def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
     said = []
-    case = g1stream.LibraryCase("check", tmp_path)
+    case = g1stream.library.LibraryCase("check", tmp_path)
     with dask_cluster(workers=0) as (address, _, _):
-        run = g1stream.run_library(
+        run = g1stream.library.run_library(
             [str(motions)], [case], cluster=address, warn=said.append, stop=lambda: bool(said)
         )
     assert not run.complete
@@ -64,9 +67,9 @@ def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
 
 def test_a_worker_with_several_threads_is_none(motions, tmp_path):
     said = []
-    case = g1stream.LibraryCase("check", tmp_path)
+    case = g1stream.library.LibraryCase("check", tmp_path)
     with dask_cluster(workers=1, threads=2) as (address, _, _):
-        run = g1stream.run_library(
+        run = g1stream.library.run_library(
             [str(motions)], [case], cluster=address, warn=said.append, stop=lambda: bool(said)
         )
     assert not run.complete
@@ -105,7 +108,7 @@ def test_the_limits_are_those_of_one_machine():
 
 
 def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_path):
-    case = g1stream.LibraryCase("check", tmp_path)
+    case = g1stream.library.LibraryCase("check", tmp_path)
     with dask_cluster() as (address, head, _):
         rows = []
 
@@ -114,9 +117,9 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_pa
             if len(rows) == 3:
                 threading.Thread(target=head.kill).start()
 
-        run = g1stream.run_library([str(many)], [case], cluster=address, on_row=on_row)
+        run = g1stream.library.run_library([str(many)], [case], cluster=address, on_row=on_row)
     assert not run.complete
     assert run.lost
-    assert set(rows) == set(g1stream.open_library(tmp_path).motions["key"])
-    again = g1stream.run_library([str(many)], [case], workers=2)
+    assert set(rows) == set(g1stream.library.open_library(tmp_path).motions["key"])
+    again = g1stream.library.run_library([str(many)], [case], workers=2)
     assert (again.complete, again.known, again.done) == (True, len(rows), 40 - len(rows))

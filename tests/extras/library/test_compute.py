@@ -16,12 +16,14 @@ SHORT = {"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
 def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
     path, config = motions / "first.npz", load_config(over=SHORT)
     cases = [
-        g1stream.LibraryCase("simulate", tmp_path, settings, "bolted", values, sessions=True)
+        g1stream.library.LibraryCase(
+            "simulate", tmp_path, settings, "bolted", values, sessions=True
+        )
         for values, settings in swept(config, ["gains.kp=0.5,1"])
     ]
-    run = g1stream.run_library([str(path)], cases, workers=2)
+    run = g1stream.library.run_library([str(path)], cases, workers=2)
     assert (run.total, run.done, run.failed) == (2, 2, 0)
-    library = g1stream.open_library(tmp_path)
+    library = g1stream.library.open_library(tmp_path)
     rows = {row["gains.kp"]: row for row in library.motions.to_dict("records")}
     assert set(rows) == {0.5, 1.0}
     assert rows[0.5]["rmse"] > rows[1.0]["rmse"]
@@ -37,9 +39,9 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
         assert joints.loc[name, "rmse"] == one.rmse_rad
         assert joints.loc[name, "torque_p99"] == metrics.torque.joints[name].p99_nm
     # What is recorded changes nothing.
-    bare = g1stream.LibraryCase("simulate", tmp_path / "bare", config, "bolted")
-    g1stream.run_library([str(path)], [bare], workers=1)
-    (other,) = g1stream.open_library(bare.out).motions.to_dict("records")
+    bare = g1stream.library.LibraryCase("simulate", tmp_path / "bare", config, "bolted")
+    g1stream.library.run_library([str(path)], [bare], workers=1)
+    (other,) = g1stream.library.open_library(bare.out).motions.to_dict("records")
     for name in ("rmse", "p99", "delay", "mpjpe", "mpjpe_root", "torque_rms", "power", "success"):
         assert other[name] == pytest.approx(row[name], rel=1e-12, nan_ok=True)
     assert pd.isna(other["output"])
@@ -52,9 +54,9 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
 def test_a_motion_beyond_the_limits_is_refused(tmp_path):
     motion = g1stream.load_motion("demo").trim(0.0, 2.0).at_speed(40.0)
     motion.save(tmp_path / "fast.npz")
-    case = g1stream.LibraryCase("simulate", tmp_path / "out", support="bolted")
-    run = g1stream.run_library([str(tmp_path / "fast.npz")], [case], workers=1)
-    (row,) = g1stream.open_library(tmp_path / "out").motions.to_dict("records")
+    case = g1stream.library.LibraryCase("simulate", tmp_path / "out", support="bolted")
+    run = g1stream.library.run_library([str(tmp_path / "fast.npz")], [case], workers=1)
+    (row,) = g1stream.library.open_library(tmp_path / "out").motions.to_dict("records")
     assert (run.failed, row["status"]) == (1, "refused")
     assert "rad/s" in row["reason"]
     assert row["frames"] == motion.n_frames
@@ -63,10 +65,10 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fps"), [("csv", 30.0), ("mcap", 30.0), ("sonic", 50.0)])
 def test_converted_files_are_a_library_of_the_same_motions(motions, tmp_path, name, fps):
-    case = g1stream.LibraryCase("convert", tmp_path, format=name)
-    run = g1stream.run_library([str(motions)], [case], workers=1)
+    case = g1stream.library.LibraryCase("convert", tmp_path, format=name)
+    run = g1stream.library.run_library([str(motions)], [case], workers=1)
     assert (run.done, run.failed) == (4, 1)
-    rows = g1stream.open_library(tmp_path).motions
+    rows = g1stream.library.open_library(tmp_path).motions
     outputs = {}
     for row in rows[rows["status"] == "ok"].to_dict("records"):
         before, path = g1stream.load_motion(row["path"]), tmp_path / row["output"]
@@ -110,7 +112,7 @@ def test_a_row_depends_on_the_content_of_the_parameters(tmp_path):
     def fingerprint(content, name, command="simulate"):
         (tmp_path / name).write_text(content)
         config = load_config(over={"params": tmp_path / name if content else None})
-        return g1stream.LibraryCase(command, tmp_path, config, "bolted").fingerprint
+        return g1stream.library.LibraryCase(command, tmp_path, config, "bolted").fingerprint
 
     first, other = "[friction]\nlegs = 0.3\n", "[friction]\nlegs = 0.4\n"
     assert fingerprint(first, "a.toml") == fingerprint(first, "b.toml")

@@ -91,7 +91,7 @@ def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_pat
     assert main([*command, "--policy", str(one), "--policy", str(other)]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(printed) == 4
-    rows = g1stream.open_library(out).motions
+    rows = g1stream.library.open_library(out).motions
     assert set(rows["status"]) == {"refused"}
     assert rows["reason"].str.contains("onnx").all()
     found = rows[["policy", "sim.command_delay"]].to_numpy().tolist()
@@ -111,9 +111,9 @@ def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
     g1stream.load_motion(DANCE).trim(0.0, 0.5).save(path)
     short = {"stream.ramp": 0.5, "stream.stand": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
     one = case(HOLOSOMA, tmp_path / "out", **short)
-    run = g1stream.run_library([str(path)], [one], workers=1)
+    run = g1stream.library.run_library([str(path)], [one], workers=1)
     assert (run.done, run.failed) == (1, 0)
-    (row,) = g1stream.open_library(tmp_path / "out").motions.to_dict("records")
+    (row,) = g1stream.library.open_library(tmp_path / "out").motions.to_dict("records")
     session = g1stream.rollout(path, config=one.config)
     metrics, summary = session.metrics(), session.summary()
     assert (row["policy"], row["support"]) == ("holosoma_dance1_subject2", "free")

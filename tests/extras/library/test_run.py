@@ -49,7 +49,7 @@ def test_each_content_is_checked_once(checked):
 def test_a_row_says_what_the_physics_of_the_motion_say(checked, motions):
     library = open_library(checked[1])
     motion = g1stream.load_motion(motions / "below" / "third.npz")
-    physics = g1stream.motion_physics(motion)
+    physics = g1stream.physics.motion_physics(motion)
     row = by_name(library)["third"]
     for support, verdict in physics.verdicts.items():
         assert row[support] == verdict.playable

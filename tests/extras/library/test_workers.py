@@ -103,15 +103,15 @@ def test_workers_that_are_killed_at_random_lose_nothing(many, tmp_path):
             killer.start()
             timer.start()
 
-    case = g1stream.LibraryCase("check", tmp_path)
+    case = g1stream.library.LibraryCase("check", tmp_path)
     try:
-        run = g1stream.run_library([str(many)], [case], workers=2, on_row=on_row)
+        run = g1stream.library.run_library([str(many)], [case], workers=2, on_row=on_row)
     finally:
         over.set()
         timer.cancel()
     killer.join()
     assert (run.complete, run.lost) == (True, {})
-    statuses = g1stream.open_library(tmp_path).motions["status"]
+    statuses = g1stream.library.open_library(tmp_path).motions["status"]
     assert len(statuses) == 40
     assert set(statuses) <= {"ok", "crashed"}  # killed twice
     assert (statuses == "ok").sum() > 30

@@ -7,7 +7,7 @@ import pytest
 from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.stance import stand, stand_part
-from g1stream.extras.physics.stand import find_instead
+from g1stream.extras.physics.standing import find_instead
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1

@@ -346,7 +346,7 @@ def test_a_gap_of_lowstate_before_the_fall_is_the_first_sign(falling):
 
 
 def test_the_page_has_the_policy(falling, tmp_path):
-    text = g1stream.report(falling, tmp_path / "report.html").read_text()
+    text = g1stream.report.report(falling, tmp_path / "report.html").read_text()
     fall = policy_steps(falling).fall
     assert f"The robot fell at {fall.time_s:.2f} s" in text
     assert 'data-key="sessions.0.policy.terms.joint_vel_rel.std"' in text
@@ -358,7 +358,7 @@ def test_terms_of_two_sessions_are_compared(falling, place):
     other = g1stream.rollout(
         "demo", policy=place / "policy.onnx", config=config(), seconds=2.0, noise=noise
     )
-    found = g1stream.compare(falling, other)
+    found = g1stream.report.compare(falling, other)
     names = [*TERMS, "action"]
     assert set(found.terms) == {f"{what} of {name}" for what in ("mean", "std") for name in names}
     assert found.terms["std of base_ang_vel"].base > 0.0

@@ -4,7 +4,7 @@ import pytest
 
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError
-from g1stream.extras.report.compare import CONDITION_NAMES
+from g1stream.extras.report.comparison import CONDITION_NAMES
 from g1stream.extras.report.fail_if import FailIf
 
 NAMES = ("rmse", "delay", "success")

@@ -75,7 +75,7 @@ def path(play, write_session):
 
 def test_the_tables_are_the_json_and_a_video_beside_the_session_is_shown(path, tmp_path):
     path.with_suffix(".mp4").write_bytes(b"film")
-    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    text = g1stream.report.report(path, tmp_path / "report.html").read_text()
     assert f"data:video/mp4;base64,{base64.b64encode(b'film').decode()}" in text
     page, values = Page(text), numbers(path)
     assert len(page.values) > 29 * 5
@@ -104,7 +104,7 @@ def test_the_numbers_are_the_sessions(path):
 @pytest.mark.slow
 def test_headings_are_printed_as_they_are_written(tmp_path):
     session = g1stream.rollout("demo", seconds=6.0)  # long enough for the delay's interval
-    text = g1stream.report(session, tmp_path / "report.html").read_text(encoding="utf-8")
+    text = g1stream.report.report(session, tmp_path / "report.html").read_text(encoding="utf-8")
     heads = re.findall(r"<th[^>]*>([^<]*)", text)
     assert "± 95 %" in heads
     assert not [head for head in heads if "\\" in head]
@@ -114,7 +114,7 @@ def test_the_figures_lose_no_peak(play, write_session, tmp_path):
     reference, measured = play(phases=((1, 0.5), (2, 9.0), (4, 0.2)))
     measured.q[4321, 7] += 0.5
     path = write_session(reference, measured)
-    (drawn,) = figures(g1stream.report(path, tmp_path / "report.html").read_text())
+    (drawn,) = figures(g1stream.report.report(path, tmp_path / "report.html").read_text())
     error = open_session(path).tracking().error[:, 7]
     (line,) = drawn["signals"]["error"]["lines"]
     shown = floats(line["joints"][7]["y"])
@@ -133,12 +133,12 @@ def test_what_is_shown_of_physics_and_pelvis_depends_on_how_a_robot_was_held(sho
         g1stream.rollout(motion, support=support, seconds=0.5, config=short)
         for motion, support in ((whole, "bolted"), (part, "follow"))
     ]
-    page = Page(g1stream.report(rollouts, tmp_path / "report.html").read_text())
+    page = Page(g1stream.report.report(rollouts, tmp_path / "report.html").read_text())
     values = numbers(rollouts)
     assert_values(page, values)
     attached, reference = (one["physics"] for one in values["sessions"])
     frames = round(0.5 * whole.fps) + 1  # of an attached motion with that of its end
-    played = g1stream.motion_physics(whole, frames=range(frames))
+    played = g1stream.physics.motion_physics(whole, frames=range(frames))
     assert attached == json.loads(played.model_dump_json())
     assert reference["frames"] == frames - 1
     torques, body = (
@@ -161,7 +161,7 @@ def test_the_physics_of_nothing(play, write_session, tmp_path):
     for reason, streams in cases.items():
         path = write_session(*streams, name=f"{reason.replace('/', '')}.mcap")
         assert numbers(path)["sessions"][0]["physics"] is None
-        page = g1stream.report(path, path.with_suffix(".html")).read_text()
+        page = g1stream.report.report(path, path.with_suffix(".html")).read_text()
         section = page.partition("Physics of the motion")[2].partition("<h3>")[0]
         assert reason in section
 
@@ -170,7 +170,7 @@ def test_the_physics_of_nothing(play, write_session, tmp_path):
 def test_a_session_that_lacks_something_says_so(play, write_session, tmp_path, lacks):
     streams = play()._asdict() | {lacks: None}
     path = write_session(**streams)
-    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    text = g1stream.report.report(path, tmp_path / "report.html").read_text()
     reason = numbers(path)["sessions"][0]["metrics"]["missing"]["tracking"]
     assert reason in " ".join(Page(text).texts)
     (drawn,) = figures(text)
@@ -182,19 +182,19 @@ def test_a_session_that_lacks_something_says_so(play, write_session, tmp_path, l
 @pytest.mark.slow
 def test_the_session_of_a_killed_recorder(play, write_session, tmp_path):
     path = write_session(*play(), close=False)
-    page = Page(g1stream.report(path, tmp_path / "report.html").read_text())
+    page = Page(g1stream.report.report(path, tmp_path / "report.html").read_text())
     assert "did not close the file" in " ".join(page.texts)
     assert "sessions.0.metrics.tracking.all_joints.rmse_rad" in page.values
 
 
 def test_a_converted_motion(tmp_path):
     g1stream.convert("demo", tmp_path / "motion.mcap")
-    text = g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html").read_text()
+    text = g1stream.report.report(tmp_path / "motion.mcap", tmp_path / "report.html").read_text()
     page = Page(text)
     assert "no messages on /reference and /lowstate" in " ".join(page.texts)
     assert 'class="verdict "' in text  # neither good nor bad
     (session,) = numbers(tmp_path / "motion.mcap")["sessions"]
-    motion = g1stream.motion_physics(g1stream.load_motion("demo"))
+    motion = g1stream.physics.motion_physics(g1stream.load_motion("demo"))
     assert session["physics"]["frames"] == motion.frames
     assert session["physics"]["tilt_rad"] == pytest.approx(motion.tilt_rad)
     assert {key.split(".")[2] for key in page.values} == {"physics"}
@@ -206,7 +206,7 @@ def test_no_text_of_a_file_becomes_markup(play, write_session, tmp_path):
     evil = "</script><script>alert(1)</script>"
     metadata = {"motion": {"name": evil}, "stream": {"reason": evil}, "versions": {evil: "1"}}
     path = write_session(*play(), metadata, name="<b>&amp.mcap")
-    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    text = g1stream.report.report(path, tmp_path / "report.html").read_text()
     assert evil not in text
     assert Page(text).scripts == ["plotly", "figures", None]
     assert "<b>" not in text
@@ -216,13 +216,13 @@ def test_what_cannot_be_written(path, tmp_path):
     out = tmp_path / "report.html"
     out.write_text("older")
     with pytest.raises(RecordingError):
-        g1stream.report(path, out)
+        g1stream.report.report(path, out)
     with pytest.raises(RecordingError, match=r"nowhere\.mcap"):  # before the page that is there
-        g1stream.report([path, tmp_path / "nowhere.mcap"], out)
+        g1stream.report.report([path, tmp_path / "nowhere.mcap"], out)
     with pytest.raises(ConfigError):
-        g1stream.report([], out, force=True)
+        g1stream.report.report([], out, force=True)
     assert out.read_text() == "older"
-    g1stream.report(path, out, force=True)
+    g1stream.report.report(path, out, force=True)
     assert out.read_text().startswith("<!doctype html>")
 
 
@@ -231,10 +231,10 @@ def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
     copy.write_bytes(path.read_bytes())
     for page in (tmp_path / "page.pdf", tmp_path / "page"):
         with pytest.raises(ConfigError):
-            g1stream.report(copy, page)
+            g1stream.report.report(copy, page)
         assert not page.exists()
     with pytest.raises(RecordingError):
-        g1stream.report(copy, copy, force=True)
+        g1stream.report.report(copy, copy, force=True)
     assert copy.read_bytes() == path.read_bytes()
 
 

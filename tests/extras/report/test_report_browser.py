@@ -69,7 +69,7 @@ def seen_on_a_phone(chromium, tmp_path):
 
 
 def test_its_figures_draw_and_the_joint_can_be_chosen(seen_on_a_phone, path, tmp_path):
-    seen = seen_on_a_phone(g1stream.report(path, tmp_path / "report.html"))
+    seen = seen_on_a_phone(g1stream.report.report(path, tmp_path / "report.html"))
     drawn = {one[0] for one in seen["figures"]}
     assert drawn == {"limbs", "joint", "rmse_deg", "lateness", "intervals"}
     session = g1stream.open_session(path)
@@ -83,7 +83,7 @@ def test_its_figures_draw_and_the_joint_can_be_chosen(seen_on_a_phone, path, tmp
 
 def test_a_converted_motion_has_no_room_for_what_it_lacks(seen_on_a_phone, tmp_path):
     g1stream.convert("demo", tmp_path / "motion.mcap")
-    page = g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html")
+    page = g1stream.report.report(tmp_path / "motion.mcap", tmp_path / "report.html")
     seen = seen_on_a_phone(page)
     ((name, _, titles),) = seen["figures"]
     assert name == "joint"
@@ -93,7 +93,7 @@ def test_a_converted_motion_has_no_room_for_what_it_lacks(seen_on_a_phone, tmp_p
 
 def test_it_prints_on_a4(chromium, path, tmp_path):
     page, pdf = tmp_path / "page.html", tmp_path / "page.pdf"
-    g1stream.report(path, page)
+    g1stream.report.report(path, page)
     chromium(f"--print-to-pdf={pdf}", "--no-pdf-header-footer", page.as_uri())
     boxes = re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf.read_bytes())
     assert boxes

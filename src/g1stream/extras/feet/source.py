@@ -17,7 +17,7 @@ from g1stream.control.targets import LOWERED, Target
 from g1stream.errors import ConfigError
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.feet.squat import Squat
-from g1stream.extras.physics.stand import stand_or_explain
+from g1stream.extras.physics.standing import stand_or_explain
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion

@@ -73,8 +73,8 @@ class FitParameters(SettingsCommand, QuietFlag):
             print(motion.save(self.motion_out, force=self.force))
             return EXIT_OK
         from g1stream.app.session import open_session
-        from g1stream.extras.fit.gap import robot_of
         from g1stream.extras.fit.identify import fit_parameters
+        from g1stream.extras.fit.simulated_session import robot_of
 
         if self.out is not None:  # checked before the long computation
             check_suffix(self.out, "a parameters file", ".toml")

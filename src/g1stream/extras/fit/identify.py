@@ -20,9 +20,9 @@ from scipy.stats import t as student
 
 from g1stream.app.session import Session, open_session
 from g1stream.errors import RecordingError
-from g1stream.extras.fit.gap import compare, motor_torque, robot_of, torque_delay
 from g1stream.extras.fit.recorded import Recorded, noise_of
 from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
+from g1stream.extras.fit.simulated_session import compare, motor_torque, robot_of, torque_delay
 from g1stream.extras.fit.simulation import simulate_commands, world_support
 from g1stream.files import complete_file
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics

@@ -45,7 +45,7 @@ class Simulate(SettingsCommand, QuietFlag):
     def run(self) -> int:
         """Simulate, print, and return the exit code."""
         from g1stream.app.session import open_session
-        from g1stream.extras.fit.gap import gap, robot_of
+        from g1stream.extras.fit.simulated_session import gap, robot_of
         from g1stream.files import check_not_input, check_output_path, check_suffix
 
         if self.out is not None:  # checked before the long computation

@@ -36,7 +36,7 @@ from g1stream.extras.physics.result import (
     Verdict,
 )
 from g1stream.extras.physics.stance import stand_part
-from g1stream.extras.physics.stand import find_instead
+from g1stream.extras.physics.standing import find_instead
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import GRAVITY

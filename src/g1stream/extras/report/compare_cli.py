@@ -64,7 +64,7 @@ class Compare(SessionFlags, QuietFlag):
     def run(self) -> int:
         """Compare, print, and return the exit code."""
         from g1stream.analysis.metrics import NAMED_METRICS
-        from g1stream.extras.report.compare import CONDITION_NAMES, compare
+        from g1stream.extras.report.comparison import CONDITION_NAMES, compare
         from g1stream.extras.report.fail_if import FailIf
 
         if not self.base or not self.other:

@@ -11,8 +11,8 @@ from g1stream.app.session import open_session
 from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.fit.gap import gap, motor_torque, robot_of
 from g1stream.extras.fit.recorded import Recorded, noise_of
+from g1stream.extras.fit.simulated_session import gap, motor_torque, robot_of
 from g1stream.extras.fit.simulation import simulate_commands
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -144,8 +144,6 @@ def test_from_the_command_line(other, tmp_path, capsys):
     assert main(["simulate", str(session), "-o", str(out)]) == 2  # it is there
     assert main(["simulate", str(session), "-o", str(session), "--force"]) == 2
     assert main(["simulate", str(session), "--support", "glued"]) == 2
-    assert main(["layout", "foxglove", str(out), "--dir", str(tmp_path)]) == 0
-    assert "/simulated/joint_states" in (tmp_path / "g1stream-foxglove.json").read_text()
 
 
 def test_who_was_held_in_no_known_way_is_asked_for(same):

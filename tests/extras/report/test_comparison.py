@@ -8,7 +8,7 @@ import g1stream
 from g1stream.app.session import Session
 from g1stream.cli.main import main
 from g1stream.errors import RecordingError
-from g1stream.extras.report.compare import differences, ranked, verdict
+from g1stream.extras.report.comparison import differences, ranked, verdict
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import SessionWriter
 from g1stream.testing import SyntheticSession
@@ -30,7 +30,7 @@ def runs(levels):
 
 
 def test_several_sessions_show_their_spread():
-    found = g1stream.compare(*runs((0.010, 0.013)))
+    found = g1stream.report.compare(*runs((0.010, 0.013)))
     rmse = found.metrics["rmse"]
     assert rmse.change == pytest.approx(0.3, abs=0.05)
     spreads = [max(values) - min(values) for values in (rmse.base_values, rmse.other_values)]
@@ -43,7 +43,7 @@ def test_several_sessions_show_their_spread():
 
 
 def test_one_session_a_side_has_none():
-    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    found = g1stream.report.compare(session(bias=0.01), session(bias=0.02))
     assert found.metrics["rmse"].other == pytest.approx(2 * found.metrics["rmse"].base, rel=1e-3)
     assert found.metrics["rmse"].spread is None
     assert max(map(len, str(found).splitlines())) <= 80
@@ -57,7 +57,7 @@ def test_joints_are_ranked_by_the_difference_and_not_by_its_share():
 
 
 def test_the_verdict_has_the_digits_that_a_difference_needs():
-    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    found = g1stream.report.compare(session(bias=0.01), session(bias=0.02))
     for base, other, figures in ((0.05523, 0.05501, 2), (1.20001, 1.20002, 2), (0.5, 0.5, 1)):
         found.metrics = differences([[{"rmse": one}] for one in (base, other)], {})
         shown = {float(one) for one in re.findall(r"\d\.\d+(?= rad| \()", verdict(found))}
@@ -65,7 +65,7 @@ def test_the_verdict_has_the_digits_that_a_difference_needs():
 
 
 def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
-    found = g1stream.compare(session(delay=0.001), session(delay=0.004)).metrics["delay"]
+    found = g1stream.report.compare(session(delay=0.001), session(delay=0.004)).metrics["delay"]
     assert found.change is None
     assert found.difference == pytest.approx(0.003, abs=2e-4)
     assert differences([[{"x": 0.0}], [{"x": 2.0}]], {})["x"].change is None
@@ -77,12 +77,17 @@ def test_a_run_counts_once(tmp_path):
     once, again, other = session(), session(metadata={"host": "another"}), session(bias=0.02)
     for sides in (([once, again], [other]), ([other], [once, other, again])):
         with pytest.raises(RecordingError, match="the same run"):
-            g1stream.compare(*sides)
-    assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].spread > 0.0
+            g1stream.report.compare(*sides)
+    assert (
+        g1stream.report.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].spread
+        > 0.0
+    )
 
 
 def test_only_the_common_part_is_compared():
-    found = g1stream.compare(session(seconds=2.0, bias=0.01), session(seconds=4.0, bias=0.01))
+    found = g1stream.report.compare(
+        session(seconds=2.0, bias=0.01), session(seconds=4.0, bias=0.01)
+    )
     assert (found.start_s, found.stop_s) == pytest.approx((0.0, 2.0), abs=0.01)
     assert found.metrics["rmse"].change == pytest.approx(0.0, abs=1e-3)
 
@@ -93,7 +98,7 @@ def test_another_motion_is_refused(monkeypatch):
         SyntheticSession, "joints", lambda self, time, late=0.0: np.zeros((3, len(time), 29))
     )
     with pytest.raises(RecordingError):
-        g1stream.compare(first, session())
+        g1stream.report.compare(first, session())
 
 
 @pytest.mark.slow
@@ -102,13 +107,13 @@ def test_only_joints_that_play_in_all_sessions_count(short):
         g1stream.rollout("demo", joints=joints, seconds=0.3, config=short)
         for joints in ("left_arm", "arms", "right_arm")
     )
-    found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]
+    found, alone = g1stream.report.compare(left, arms), arms.tracking().rmse[15:22]
     assert list(found.limbs) == ["left_arm"]
     assert len(found.joints) == 7
     assert found.metrics["rmse"].base == left.tracking().overall
     assert found.metrics["rmse"].other == pytest.approx(np.sqrt(np.mean(alone**2)))
     with pytest.raises(RecordingError, match="No joint"):
-        g1stream.compare([left, arms], right)
+        g1stream.report.compare([left, arms], right)
 
 
 def test_what_differs_is_said():
@@ -119,7 +124,7 @@ def test_what_differs_is_said():
     stream = {"feedforward": "dynamics", "support": "bolted", "nominal_rate_hz": 500.0}
     first = session(metadata={"gains": gains, "stream": stream})
     other = session(metadata={"gains": soft, "stream": stream | {"feedforward": "velocity"}})
-    assert g1stream.compare(first, other).differs == {
+    assert g1stream.report.compare(first, other).differs == {
         "feed-forward": ("dynamics", "velocity"),
         **dict.fromkeys(("gains.kp of left_leg", "gains.kp of right_leg"), ("60", "50")),
         "gains.kp of waist": ("60", "60, 40"),
@@ -158,10 +163,10 @@ def test_sessions_without_a_common_part_are_refused():
     whole = session(seconds=4.0, bias=0.01)
     early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(3.0, None))
     with pytest.raises(RecordingError):
-        g1stream.compare(whole, [early, late])
+        g1stream.report.compare(whole, [early, late])
     with pytest.raises(RecordingError):  # they only touch
-        g1stream.compare(early, whole.sel(time=slice(0.95, None)))
-    found = g1stream.compare(early, whole.sel(time=slice(0.85, None)))
+        g1stream.report.compare(early, whole.sel(time=slice(0.95, None)))
+    found = g1stream.report.compare(early, whole.sel(time=slice(0.85, None)))
     assert found.stop_s - found.start_s == pytest.approx(0.15, abs=0.01)
     assert found.metrics["rmse"].base == pytest.approx(0.01, rel=0.1)
 
@@ -189,7 +194,7 @@ WHOLE = {"completed": 1.0, "played": 1.0, "success": 1.0}
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_run_that_was_not_played_as_asked_is_in_the_verdict(run, as_asked, side):
     sides = [ended(2.0, bias=0.01), run]
-    found = g1stream.compare(*(sides if side else reversed(sides)))
+    found = g1stream.report.compare(*(sides if side else reversed(sides)))
     expected = {name: value for name, value in as_asked.items() if value is not None}
     assert found.as_asked == pytest.approx(expected, abs=0.01)
     short = min(expected.values()) < 1.0
@@ -198,10 +203,10 @@ def test_a_run_that_was_not_played_as_asked_is_in_the_verdict(run, as_asked, sid
 
 
 def test_what_is_not_known_of_a_log_does_not_count_against_it():
-    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    found = g1stream.report.compare(session(bias=0.01), session(bias=0.02))
     assert (found.as_asked, found.incomplete) == ({}, {})
     part = ended(2.0, bias=0.01).sel(time=slice(0.0, 1.5))
-    found = g1stream.compare(ended(2.0, bias=0.03), part)
+    found = g1stream.report.compare(ended(2.0, bias=0.03), part)
     assert (found.as_asked, found.incomplete) == ({"completed": 1.0, "success": 1.0}, {})
 
 

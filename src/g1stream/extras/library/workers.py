@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import os
 import resource
 import signal
 import time
@@ -118,8 +119,8 @@ def completed(
     """Call a function with each item; yields completed calls, some together.
 
     A call whose worker ends is repeated once, alone. It fails with a `CrashedError` if that worker
-    ends as well, or with a `TooSlowError` if its time was over. If the scheduler ends, the calls
-    that it has are cancelled. It has few at a time, whatever the number of items.
+    ends as well, or with a `TooSlowError` if its time was over. If the scheduler ends, the other
+    calls are cancelled. It has few at a time, whatever the number of items.
 
     Args:
         client: client of Dask. Its workers with one thread are used.
@@ -173,12 +174,16 @@ class _Calls(Generic[T, R]):
         return bool(self._waiting or self._again or any(self._queues.values()))
 
     def cancel(self) -> list[tuple[T, Future[R]]]:
-        """Cancel the calls that workers have."""
+        """Cancel all calls."""
         batches = [batch for queue in self._queues.values() for batch in queue]
-        self._queues.clear()
         for batch in batches:
             batch.remote.cancel()
-        pairs = [(item, Future[R]()) for batch in batches for item in batch.items]
+        sent = [item for batch in batches for item in batch.items]
+        items = [*sent, *self._again, *self._waiting]
+        self._queues.clear()
+        self._again.clear()
+        self._waiting.clear()
+        pairs = [(item, Future[R]()) for item in items]
         for _, future in pairs:
             future.cancel()
         return pairs
@@ -186,8 +191,6 @@ class _Calls(Generic[T, R]):
     def finished(self) -> list[tuple[T, Future[R]]]:
         """Finished calls, after a short time without any, or a short time after the first."""
         if self._client.status == "closed":  # the scheduler has ended
-            self._waiting.clear()
-            self._again.clear()
             return self.cancel()
         found = self._look_for_workers()
         self._send()
@@ -382,8 +385,16 @@ def open_workers(
             "They import the program that starts them: call run_library below "
             '`if __name__ == "__main__":`.',
         ) from error
-    with own, distributed.Client(own, set_as_default=False) as client:
-        yield client
+    with own:
+        try:
+            with distributed.Client(own, set_as_default=False) as client:
+                yield client
+        finally:  # at once, whatever they compute
+            for nanny in own.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid:
+                    with suppress(ProcessLookupError):
+                        os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _require_trusted(cluster: str, *, insecure: bool) -> None:

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 _HEADS = {
     "sim": """\
 # For a simulator on this machine: what g1stream does without any config file on the loopback
-# interface. Every setting is below, commented out, with its value.
+# interface. Every setting is below, commented out, with its value, or with
+# an example if it is unset.
 """,
     "robot": """\
 # For a real G1, with cautious limits. Read docs/real-robot.md and docs/safety.md first.

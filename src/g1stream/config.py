@@ -876,7 +876,8 @@ class WiderValue(NamedTuple):
 
     def __str__(self) -> str:
         """The setting in words."""
-        return f"{self.key} = {self.value}, robot: {self.robot} {self.unit}".rstrip()
+        value = "unset" if self.value is None else self.value
+        return f"{self.key} = {value}, robot: {self.robot} {self.unit}".rstrip()
 
 
 def _given(table: Any) -> dict[str, Any]:

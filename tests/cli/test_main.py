@@ -37,14 +37,13 @@ def test_bad_input_is_explained(tmp_path, run, arguments, content, named):
 
 
 def test_a_directory_of_somebody_else_is_kept_even_from_force(tmp_path, domain_id, run):
-    precious = tmp_path / "session" / "notes.txt"
+    precious = tmp_path / "session.mcap" / "notes.txt"
     precious.parent.mkdir()
     precious.write_bytes(b"precious")
-    command = "record", tmp_path / "session.mcap", "--domain", domain_id
-    ended = run(*command, "--split-duration=60", "--force")
+    ended = run("record", precious.parent, "--domain", domain_id, "--force")
     assert ended.code == 2
     assert str(precious.parent) in ended.err
-    assert [*tmp_path.rglob("*.*")] == [precious]
+    assert [*tmp_path.rglob("*.*")] == [precious.parent, precious]
     assert precious.read_bytes() == b"precious"
 
 

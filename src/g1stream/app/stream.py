@@ -78,12 +78,12 @@ def stream(
             publisher of LowCmd.
         G1StreamError: a file, a setting or the wire is not valid.
     """
-    config = config or Config()
+    config = for_wire(config or Config())
     require_arming(config.dds.interface, armed=arm is not None)
     path = None if record is None else Path(record)
     if path:
         check_output_path(path, force=force)
-    config, clock = for_wire(config), SystemClock()
+    clock = SystemClock()
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
         Guard(config, participant) as guard,

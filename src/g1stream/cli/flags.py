@@ -153,7 +153,7 @@ def _parser_of(
 
 
 def command_parser(kind: type[Any], name: str, purpose: str) -> ArgumentParser:
-    """A parser that knows all flags of a command, for completion scripts and man pages."""
+    """A parser that knows all flags of a command, for man pages."""
     return _parser_of(kind, name, purpose, everything=True)[0]
 
 

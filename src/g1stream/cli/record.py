@@ -34,7 +34,7 @@ class Record(LiveCommand):
 
     Examples:
       g1stream record session.mcap
-      g1stream record robot.mcap --config robot --interface eth0 --split-size 1000
+      g1stream record robot.mcap --config robot --interface eth0
 
     Exit codes:
       0  recorded

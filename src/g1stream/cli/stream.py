@@ -8,7 +8,7 @@ import textwrap
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from g1stream.cli.command import (
     LiveCommand,
@@ -136,6 +136,8 @@ class Stream(LiveCommand, MotionFlags):
       2        bad input
       128 + n  ended by signal n: 130 after Ctrl-C
     """
+
+    defaults: ClassVar = {"profile": "by the interface"}
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")

@@ -65,7 +65,7 @@ def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(elsewhere, m
     monkeypatch.setattr("g1stream.network.interfaces", lambda: ["lo", config.dds.interface])
     if elsewhere == "uri":
         monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
-        config = Config()
+        config = Config(profile="robot")
     with pytest.raises(SafetyError) as caught:
         stream("no such file", config)
     assert "--arm" in caught.value.remedy

@@ -23,8 +23,7 @@ __all__ = ["LIBRARY", "content_hash", "find_motions", "motions_at"]
 _SEVERAL: Final = {".pkl", ".pickle", ".joblib", ".pt", ".pth", ".motion"}
 #: Suffixes of motion files in a directory. A file that is given itself is read with any suffix.
 _SUFFIXES: Final = _SEVERAL | {".csv", ".npz", ".npy", ".mcap", ".db3"}
-#: A directory with this file is a recording in parts, or a bag of ROS 2, and counts as one motion.
-#: So does a directory of SONIC.
+#: A directory with this file is a bag of ROS 2 and counts as one motion. So does one of SONIC.
 _BAG: Final = "metadata.yaml"
 LIBRARY: Final = ".g1stream-library"
 """The file in each library's directory. Libraries are not searched for motions."""
@@ -33,8 +32,8 @@ LIBRARY: Final = ".g1stream-library"
 def find_motions(places: Sequence[str]) -> list[str]:
     """Find the motion files below directories and files, in order and without duplicates.
 
-    A directory stands for the files below it with suffixes of motion files, and for its recordings
-    in parts and directories of SONIC. Libraries and hidden files and directories are skipped, and
+    A directory stands for the files below it with suffixes of motion files, and for its bags
+    of ROS 2 and directories of SONIC. Libraries and hidden files and directories are skipped, and
     links to directories are not followed.
 
     Args:

@@ -96,5 +96,7 @@ class Compare(SessionFlags, QuietFlag):
                     None: "FAILED: {0.text} is unknown, because not all sessions have {0.name}",
                 }[truth]
                 print_lines("")
+                if one.default:
+                    verdict += " (tested unless a condition is on one of these names)"
                 print_verdict(verdict.format(one), failed=truth is not False)
         return EXIT_STOPPED if failed else EXIT_OK

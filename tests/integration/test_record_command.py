@@ -82,19 +82,6 @@ def test_two_robots_at_once_are_a_problem(domain_id, running, tmp_path, until):
     assert all(name in problem for name in names)
 
 
-def test_a_recording_is_named_by_its_time(domain_id, running, tmp_path, until):
-    (tmp_path / "s.mcap").write_bytes(b"precious")
-    with (
-        robot(domain_id) as sent,
-        running("record", tmp_path / "s.mcap", "--domain", domain_id, "--auto-name") as process,
-    ):
-        until(lambda: len(sent) > 50, "samples")
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
-    (named,) = tmp_path.glob("s-*Z.mcap")
-    assert open_session(named).complete
-
-
 @pytest.fixture
 def small_disk(tmp_path):
     """A directory that holds 3 MiB."""

@@ -216,7 +216,7 @@ ROBOT: Final = [
         "pelvis is upside down from the start",
         "robot",
         from_start(says("imu.quaternion", [0, 1, 0, 0])),
-        reason="safety.max_tilt",
+        reason="upside down",
         sent=False,
     ),
     Fault(

@@ -12,7 +12,7 @@ import pytest
 from cyclonedds.core import Entity
 from cyclonedds.internal import DDS
 
-from g1stream.dds.domain import AnnouncedBridge, Participant, identify_program
+from g1stream.dds.domain import AnnouncedBridge, Participant, _renew, identify_program
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, TOPICS, LowCmd
 from g1stream.errors import WireError
@@ -90,16 +90,26 @@ def test_a_domain_whose_sockets_are_shut_down_cannot_be_joined_again(domain_id):
         pass
 
 
-def test_a_descriptor_that_is_reused_is_not_a_socket_of_the_domain(domain_id):
-    with Participant(domain_id, "lo") as participant:
-        first, *others = participant.sockets
-        copy = os.dup(first)
-        with Path("/dev/null").open() as other:
-            os.dup2(other.fileno(), first)
-            assert participant.sockets == others
-        os.dup2(copy, first)
-        os.close(copy)
-        assert participant.sockets == [first, *others]
+def test_only_the_socket_that_sends_is_replaced(participant):
+    """A thread of Cyclone 0.10 that receives would wait for ever at the port of another one."""
+    before = {one: os.fstat(one).st_ino for one in participant.sockets}
+    for one in before:
+        _renew(one)
+    (changed,) = [one for one, inode in before.items() if os.fstat(one).st_ino != inode]
+    with socket.socket(fileno=os.dup(changed)) as sends:
+        assert sends.getsockname()[0] == "127.0.0.1"
+
+
+def test_a_descriptor_that_is_reused_is_not_a_socket_of_the_domain(participant):
+    """Cyclone's own stay as they are: its threads use them."""
+    known = participant.sockets
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        number = other.fileno()
+        participant._joined.sockets.append((number, os.fstat(number).st_ino))
+        assert participant.sockets == [*known, number]
+    with Path("/dev/null").open() as reused:
+        assert reused.fileno() == number
+        assert participant.sockets == known
 
 
 def test_a_broken_configuration_of_the_user_is_an_error(domain_id, monkeypatch):

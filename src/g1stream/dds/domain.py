@@ -441,14 +441,19 @@ def _is_socket(descriptor: int, inode: int) -> bool:
 
 
 def _renew(descriptor: int) -> None:
-    """Replace a UDP socket that has been shut down for sending with one that sends as it did."""
+    """Replace a UDP socket that has been shut down for sending with one that sends as it did.
+
+    Cyclone sends from a socket that is bound to an address. Those that it receives from, which are
+    bound to any address, must stay: a thread may be waiting for a packet to their ports.
+    """
     multicast = socket.IPPROTO_IP, socket.IP_MULTICAST_IF
     with (
         socket.socket(fileno=os.dup(descriptor)) as old,
         socket.socket(old.family, old.type) as new,
     ):
-        if (old.family, old.type) == (socket.AF_INET, socket.SOCK_DGRAM):
-            new.bind((old.getsockname()[0], 0))
+        address = old.getsockname()[0]
+        if (old.family, old.type) == (socket.AF_INET, socket.SOCK_DGRAM) and address != "0.0.0.0":
+            new.bind((address, 0))
             new.setsockopt(*multicast, old.getsockopt(*multicast, 4))
             os.dup2(new.fileno(), descriptor, inheritable=False)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
@@ -50,6 +51,16 @@ def load(tmp_path):
         return load_motion(path, **options)
 
     return load_content
+
+
+def assert_read_or_refused(load, text):
+    """A text is refused, or read as a motion of finite numbers."""
+    try:
+        motion = load(text.encode("utf-8", "surrogatepass"))
+    except MotionError:
+        return
+    for array in (motion.joint_pos, motion.root_pos, motion.root_quat_wxyz):
+        assert np.isfinite(array).all()
 
 
 def assert_same(motion, other):

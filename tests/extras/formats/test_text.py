@@ -1,6 +1,5 @@
 import tracemalloc
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -10,7 +9,7 @@ from g1stream.extras.formats.text import read_text
 from g1stream.input_limits import CSV_LINE
 from g1stream.motion.readers import find_motion, load_motion
 from g1stream.robot.joints import JOINT_NAMES
-from known_motions import COLUMNS, assert_same, bare, changed, csv, rows_of
+from known_motions import COLUMNS, assert_read_or_refused, assert_same, bare, changed, csv, rows_of
 
 
 def test_the_order_of_the_quaternion_is_that_of_the_header(load):
@@ -112,9 +111,4 @@ def test_memory_is_in_proportion_to_the_file():
 @given(line=st.just(1), column=st.integers(1, 37), cell=st.text(max_size=6))
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_name_of_a_column_is_read_or_refused(load, line, column, cell):
-    try:
-        motion = load(changed(line, column, cell).encode("utf-8", "surrogatepass"))
-    except MotionError:
-        return
-    for array in (motion.joint_pos, motion.root_pos, motion.root_quat_wxyz):
-        assert np.isfinite(array).all()
+    assert_read_or_refused(load, changed(line, column, cell))

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from g1stream.config import SafetyConfig
+from g1stream.profiles import PROFILES
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
@@ -28,6 +30,13 @@ class Frames(NamedTuple):
     joint_pos: Array
     root_pos: Array
     root_quat_wxyz: Array
+
+
+def thresholds(**changed):
+    """The settings of [safety] and the constants of the profile `simulator`, with changes."""
+    constants = PROFILES["simulator"]
+    ours = {name: changed.pop(name) for name in changed.keys() & set(constants._fields)}
+    return SafetyConfig(**changed), constants._replace(**ours)
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,6 @@ def support_page() -> str:
 
 
 def _row(flags: str, about: dict[str, Any]) -> str:
-    network = about["network"]
     held = about.get("support", list(get_args(Support)))
     if "feet" in flags:
         held = ["nothing"]
@@ -57,7 +56,7 @@ def _row(flags: str, about: dict[str, Any]) -> str:
         ", ".join(about["kinds"]),
         ", ".join(held) or "its own controller",
         ", ".join(_limits(about)) or "any",
-        "yes" if network is True else f"`--{network.replace('_', '-')}`" if network else "no",
+        "yes" if about["network"] else "no",
         "tried" if about["lockstep"] else "-",
         "; ".join(about["dds"]),
     ]

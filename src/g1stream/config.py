@@ -28,6 +28,7 @@ from g1stream.errors import ConfigError
 from g1stream.files import read_file
 from g1stream.input_limits import SETTINGS_DOTS, SETTINGS_FILE, check_integers
 from g1stream.network import is_loopback
+from g1stream.profiles import PROFILES, ProfileConstants
 from g1stream.types import (
     STREAM_RATE,
     BeyondLimits,
@@ -193,22 +194,6 @@ class StreamConfig(Table):
         le=60.0,
         robot=6.0,
     )
-    soft_start: float = setting(
-        0.0,
-        "duration of damping, without position control, before the ramp",
-        "s",
-        ge=0.0,
-        le=10.0,
-        robot=0.5,
-    )
-    ramp_speed: float = setting(
-        1.5,
-        "maximum joint speed on the way to the first frame; the ramp takes longer if needed",
-        "rad/s",
-        ge=0.01,
-        le=10.0,
-        robot=0.5,
-    )
     hold: float = setting(
         1.0,
         "time at the last frame",
@@ -266,7 +251,6 @@ class StreamConfig(Table):
         "down until its speeds fit; clamp: hold its targets at the limits; anyway: play it at its "
         "own speeds, on the loopback interface only",
     )
-    damp_kd: float = setting(3.0, "kd of every joint while damping", "N·m·s/rad", ge=0.5, le=10.0)
     feedforward: FeedForwardKind | None = setting(
         None,
         "feed-forward beside the position: nothing, velocity, or velocity and torque (dynamics); "
@@ -312,14 +296,6 @@ class StreamConfig(Table):
         ge=0.0,
         le=60.0,
     )
-    experimental_feet: bool = setting(
-        False,
-        "allow --support feet on interfaces other than loopback, where there may be a robot; it "
-        "has been tested in simulators only",
-        flag=("stream",),
-        advanced=True,
-        dangerous=True,
-    )
     preview: float | None = setting(
         None,
         "time by which commands are ahead of the motion, to compensate for their delay; if unset, "
@@ -329,16 +305,6 @@ class StreamConfig(Table):
         example=0.002,
         ge=0.0,
         le=0.1,
-    )
-    time_scale: float | None = setting(
-        None,
-        "ratio of simulated to real time, which corrects velocities; if unset, measured from the "
-        "joints; 1 on a robot",
-        example=1.0,
-        ge=0.5,
-        le=1.05,
-        robot=1.0,
-        dangerous=True,
     )
 
     @property
@@ -440,9 +406,6 @@ class RecordConfig(Table):
         gt=0.0,
         le=2000.0,
     )
-    batch: float = setting(
-        0.05, "interval at which received samples are processed", "s", gt=0.0, le=0.5
-    )
 
 
 class SimConfig(Table):
@@ -463,13 +426,6 @@ class SimConfig(Table):
     )
     rate: float = setting(
         500.0, "LowState per second", "Hz", flag=("sim",), advanced=True, ge=50.0, le=1000.0
-    )
-    command_timeout: float = setting(
-        0.5,
-        "time without a LowCmd after which the motors only damp; 0: no timeout",
-        "s",
-        ge=0.0,
-        le=3600.0,
     )
     command_delay: float = setting(
         0.0,
@@ -554,48 +510,6 @@ class SafetyConfig(Table):
         le=1.0,
         robot=0.1,
     )
-    max_crc_errors: int = setting(
-        10,
-        "maximum number of LowStates with a wrong CRC within a second",
-        ge=0,
-        le=1000,
-        robot=3,
-    )
-    frozen_timeout: float = setting(
-        1.0,
-        "maximum time with the same tick or the same content in every LowState",
-        "s",
-        gt=0.0,
-        le=2.0,
-        robot=0.1,
-    )
-    frozen_motion: float = setting(
-        0.01,
-        "motion of the targets beyond which an unchanged LowState counts as frozen; a simulated "
-        "robot at rest, without noise, repeats its LowState; 0 on a robot, whose sensors have "
-        "noise",
-        "rad",
-        ge=0.0,
-        le=0.5,
-        robot=0.0,
-    )
-    limit_excess: float = setting(
-        0.3,
-        "maximum distance of a measured joint beyond its limits; at most 0.1 rad at the start of "
-        "the ramp",
-        "rad",
-        ge=0.0,
-        le=1.0,
-        robot=0.1,
-    )
-    max_leap: float = setting(
-        0.5,
-        "maximum measured step of a joint beyond the step that its velocity limit allows",
-        "rad",
-        gt=0.0,
-        le=1.0,
-        robot=0.1,
-    )
     max_tilt: float | None = setting(
         None,
         f"maximum pelvis tilt; if unset, {_FALLEN:g} rad where nothing holds the robot (support "
@@ -625,32 +539,7 @@ class SafetyConfig(Table):
     )
     max_tracking_error: float = setting(
         1.0,
-        "maximum distance of a joint from its target, averaged over safety.tracking_time",
-        "rad",
-        gt=0.0,
-        le=6.3,
-        robot=0.3,
-    )
-    tracking_time: float = setting(
-        2.0,
-        "time over which the distance from the target is averaged",
-        "s",
-        ge=0.02,
-        le=10.0,
-        robot=0.5,
-    )
-    jam_time: float = setting(
-        4.0,
-        "time window for checking that a joint follows its target",
-        "s",
-        ge=0.2,
-        le=10.0,
-        robot=0.5,
-    )
-    jam_motion: float = setting(
-        1.0,
-        "motion of a target within safety.jam_time beyond which the joint must move by at least a "
-        "tenth of it; otherwise it is jammed or its motor is off",
+        "maximum distance of a joint from its target, averaged over 2 s (on a robot, 0.5 s)",
         "rad",
         gt=0.0,
         le=6.3,
@@ -663,61 +552,12 @@ class SafetyConfig(Table):
         le=10.0,
         robot=1.1,
     )
-    torque_time: float = setting(
-        0.5,
-        "maximum time with more torque than safety.max_torque",
-        "s",
-        ge=0.0,
-        le=10.0,
-        robot=0.2,
-    )
-    max_casing_temperature: float = setting(
-        85.0,
-        "maximum temperature of a motor's casing",
-        "°C",
-        gt=0.0,
-        le=200.0,
-        robot=75.0,
-    )
-    max_winding_temperature: float = setting(
-        120.0,
-        "maximum temperature of a motor's winding",
-        "°C",
-        gt=0.0,
-        le=200.0,
-        robot=100.0,
-    )
-    min_voltage: float = setting(
-        40.0,
-        "minimum supply voltage of a motor, which stops the stream if lower for 0.5 s; 0 V counts "
-        "as not measured",
-        "V",
-        ge=0.0,
-        le=60.0,
-        robot=42.0,
-    )
-    motor_fault_time: float = setting(
-        0.5,
-        "maximum time that a motor may be off (mode 0) or report a fault while the robot is "
-        "commanded",
-        "s",
-        ge=0.0,
-        le=2.0,
-        robot=0.1,
-    )
     motor_fault_mask: int = setting(
         0xFFFFFFFF,
         "bits of a motor's motorstate that count as faults",
         ge=0,
         le=0xFFFFFFFF,
         dangerous=True,
-    )
-    max_missed_ticks: float = setting(
-        0.5,
-        "maximum share of the ticks of a second that the loop misses",
-        ge=0.0,
-        le=1.0,
-        robot=0.1,
     )
     stop_buttons: tuple[str, ...] = setting(
         ("L2+B", "select"),
@@ -794,6 +634,7 @@ class Config(Table):
         "on others, where simulator is refused",
         flag=PLAY_FLAG,
         advanced=True,
+        robot="robot",
     )
     robot: Path | None = setting(
         None,
@@ -846,6 +687,11 @@ class Config(Table):
                 if isinstance(given, dict | table):
                     filled[name] = _robot_values(table) | _given(given)
         return filled
+
+    @property
+    def constants(self) -> ProfileConstants:
+        """What the profile fixes beside the settings."""
+        return PROFILES[self.profile]
 
     def filled(self) -> Config:
         """These settings with the values of the profile, also after `model_copy`."""
@@ -1022,6 +868,8 @@ def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:
     if error["type"] == "extra_forbidden":
         parent = Config.model_fields.get(key.split(".", maxsplit=1)[0])
         table = parent.annotation if parent and "." in key else Config
+        if key.rpartition(".")[2] in ProfileConstants._fields:
+            return ConfigError(f"{key}{where} is no setting: the profile fixes it.", "Remove it.")
         known = ", ".join(getattr(table, "model_fields", {}))
         return ConfigError(f"There is no setting {key}{where}.", f"Choose from {known}.")
     if error["type"] in ("model_type", "dict_type"):

@@ -14,7 +14,7 @@ from cyclonedds.core import DDSException
 from g1stream.app.session import open_session
 from g1stream.app.stream import stream
 from g1stream.child_process import ChildError, process_state
-from g1stream.config import Config, SimConfig
+from g1stream.config import Config
 from g1stream.control.guard import Guard, Heartbeat, Takeover, _damp, _settings
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
@@ -86,7 +86,7 @@ def test_a_stream_that_a_debugger_stops_is_replaced(domain_id, running, tap, tmp
         stream.communicate()
     stiff = [one for one in commands if one.command.kp.any()]
     damping = [one for one in commands if one.stamp > stiff[-1].stamp]
-    assert (damping[0].stamp - stiff[-1].stamp) / 1e9 < SimConfig().command_timeout
+    assert (damping[0].stamp - stiff[-1].stamp) / 1e9 < 0.5  # when the simulator damps by itself
     (writer,) = {one.writer for one in damping}
     assert writer != stiff[-1].writer
     assert all(map(is_limp, damping))

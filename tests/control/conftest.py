@@ -18,6 +18,7 @@ from g1stream.control.schedule import Schedule
 from g1stream.control.targets import Targets, Timing
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.profiles import PROFILES
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.testing import FakeClock, FakeLink
@@ -154,7 +155,7 @@ def timing():
 def make_loop(clock, link, trajectory, robot, timing):
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
-    def make(safety=None, targets=None, timing=timing, **other):
+    def make(safety=None, targets=None, timing=timing, constants=PROFILES["simulator"], **other):
         safety = safety or SafetyConfig(state_timeout=STATE_TIMEOUT)
         targets = targets or Targets(trajectory, start=0.0)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
@@ -163,7 +164,7 @@ def make_loop(clock, link, trajectory, robot, timing):
         plain = FeedForward("velocity", limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
-            Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),
+            Composer(CommandLimits(robot, safety), gains),
             other.pop("feedforward", plain),
             period=2 * MS,
             soft_start=other.pop("soft_start", 0),
@@ -173,8 +174,8 @@ def make_loop(clock, link, trajectory, robot, timing):
             "clock": clock,
             "schedule": schedule,
             "commands": commands,
-            "checks": LowStateChecks(robot, safety),
-            "overruns": Overruns(2 * MS, safety),
+            "checks": LowStateChecks(robot, safety, constants),
+            "overruns": Overruns(2 * MS, safety, constants),
             "period": 2 * MS,
         }
         return StreamLoop(**(parts | other))

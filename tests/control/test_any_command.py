@@ -48,7 +48,7 @@ def test_every_command_is_within_the_limits(seed, margin, stiffness, lies, leaps
     effort = ROBOT.torque_limit
     kp, kd = np.full(29, stiffness), rng.uniform(0.0, 10.0, 29)
     limits = CommandLimits(ROBOT, SafetyConfig(position_margin=margin))
-    composer = Composer(limits, Gains(kp, kd), damp_kd=3.0)
+    composer = Composer(limits, Gains(kp, kd))
     begun = rng.uniform(ROBOT.lower - outside, ROBOT.upper + outside)
     composer.begin(begun.astype(np.float32), 5)
     before, sent = begun, LowCmd()

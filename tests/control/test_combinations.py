@@ -20,7 +20,7 @@ def test_the_tables_name_settings_and_kinds_that_exist():
         for about in receivers.values():
             assert about.keys() - _ABOUT <= StreamConfig.model_fields.keys()
             assert set(about["kinds"]) <= kinds
-            assert about["network"] in (True, False, "experimental_feet")
+            assert isinstance(about["network"], bool)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,6 @@ def test_the_tables_name_settings_and_kinds_that_exist():
         ({"stream.via": "arm_sdk"}, "g1_dual_arm", True, ConfigError),
         ({"stream.support": "feet"}, None, True, None),
         ({"stream.support": "feet"}, None, False, SafetyError),
-        ({"stream.support": "feet", "stream.experimental_feet": True}, None, False, None),
         ({"stream.support": "feet", "stream.loop": True}, None, True, ConfigError),
         ({"stream.support": "feet", "stream.via": "arm_sdk"}, None, True, ConfigError),
         ({"stream.support": "feet"}, "g1_23dof", True, ConfigError),

@@ -27,7 +27,7 @@ def make_limits(robot):
 
 
 def test_command_and_reference_have_their_own_targets(make_limits):
-    composer = Composer(make_limits(), Gains(KP, KD), damp_kd=3.0)
+    composer = Composer(make_limits(), Gains(KP, KD))
     composer.begin(np.zeros(29, np.float32), 5)
     sizes = [29, 29, 29, 29, 3, 4, 3, 3, 3, 3]
     target = Target(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))

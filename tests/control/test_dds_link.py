@@ -55,7 +55,7 @@ def test_the_ticks_of_another_publisher_show_no_loss(ends, until):
 STIFF = LowCmd()
 STIFF.motor_mode, STIFF.kp[:], STIFF.kd[:] = 1, 100.0, 2.0
 STIFF = STIFF.seal()
-DAMPING = damping_command(STIFF, 3.0)
+DAMPING = damping_command(STIFF)
 
 
 @pytest.fixture

@@ -108,7 +108,7 @@ def test_the_guard_damps_where_the_last_command_was():
     last.motor_mode, last.mode_machine[()] = np.arange(29) % 7 > 0, 5
     last.q[:] = np.linspace(-1, 1, 29)
     last.dq[:], last.tau[:], last.kp[:], last.kd[:] = 1.0, 2.0, 100.0, 4.0
-    damping.load(damping_command(last.seal(), 3.0))
+    damping.load(damping_command(last.seal()))
     assert damping.crc_matches()
     assert np.array_equal(damping.q, last.q)
     assert np.array_equal((damping.kp, damping.dq, damping.tau), np.zeros((3, 29)))

@@ -2,10 +2,11 @@ import logging
 
 import pytest
 
-from g1stream.config import SafetyConfig
 from g1stream.control.report import Overruns
 from g1stream.errors import SafetyError
+from g1stream.profiles import PROFILES
 from g1stream.types import Phase
+from known_robots import thresholds
 
 MS = 1_000_000
 PERIOD = 2 * MS
@@ -51,7 +52,7 @@ def test_they_are_logged_at_once_then_once_a_second_and_none_is_left_out(
 
 
 def test_a_stall_has_a_limit():
-    overruns = Overruns(PERIOD, SafetyConfig(state_timeout=0.1))
+    overruns = Overruns(PERIOD, *thresholds(state_timeout=0.1))
     assert overruns.stalled(100 * MS) == ""
     assert overruns.stalled(100 * MS + 1).startswith("the loop stalled for 0.100 s")
 
@@ -59,7 +60,7 @@ def test_a_stall_has_a_limit():
 @pytest.mark.parametrize(("skips", "gap", "stops"), [(10, 100, False), (11, 90, True)])
 def test_missed_ticks_have_a_budget_for_a_second(skips, gap, stops):
     """50 of 500 Hz; what was missed more than a second ago does not count."""
-    overruns = Overruns(PERIOD, SafetyConfig(max_missed_ticks=0.1))
+    overruns = Overruns(PERIOD, *thresholds(max_missed_ticks=0.1))
     reasons = []
     for i in range(1, skips + 11):
         overruns.count(i * gap * MS, 5 * i, Phase.PLAY)
@@ -72,8 +73,7 @@ def test_a_loop_that_misses_too_many_ticks_damps(make_loop, link, clock):
     """Each second tick; the first half second of the motion is enough."""
     for n in range(80, 300, 2):
         clock.oversleeps[tick(clock, n)] = PERIOD
-    report = make_loop(SafetyConfig(max_missed_ticks=0.1)).run()
-    assert "safety.max_missed_ticks = 0.1" in report.reason
+    report = make_loop(constants=PROFILES["robot"]).run()
     assert "missed 51 of 500 ticks" in report.reason
     link.assert_damped()
 

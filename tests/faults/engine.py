@@ -181,6 +181,12 @@ class Session:
         """Add lines of TOML to the settings."""
         self.config.write_text(self.config.read_text() + text)
 
+    def customise(self, code: str) -> None:
+        """Run Python code at the start of each process of the session."""
+        (self.folder / "sitecustomize.py").write_text(code)
+        paths = [str(self.folder), *filter(None, [self.environment.get("PYTHONPATH")])]
+        self.environment["PYTHONPATH"] = os.pathsep.join(paths)
+
     def start(self, arguments: Sequence[str]) -> None:
         with self.said.open("ab") as said:
             self.process = subprocess.Popen(

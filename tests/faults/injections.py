@@ -56,6 +56,16 @@ def settings(text: str) -> Prepare:
     return prepare
 
 
+def constants(**values: float) -> Prepare:
+    """Other constants of the profile `simulator`."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        session.customise(CONSTANTS.format(profile="simulator", values=values))
+        return []
+
+    return prepare
+
+
 def wide_urdf(session: Session) -> Sequence[str]:
     """A URDF whose knees bend further than those of a G1, and a motion that uses it."""
     package = importlib.util.find_spec("g1stream")
@@ -83,6 +93,11 @@ def _assert_kept(victim: Path) -> None:
     assert victim.read_text() == "precious"
 
 
+CONSTANTS: Final = """
+from g1stream.profiles import PROFILES
+PROFILES["{profile}"] = PROFILES["{profile}"]._replace(**{values})
+"""
+
 #: From the 300th on, each write of a command of the process of the stream itself does this first.
 WRITER: Final = """
 import sys
@@ -106,9 +121,7 @@ def writer(first: str, before: Prepare = lambda session: []) -> Prepare:
     """A writer that does something before each write, and what else is prepared."""
 
     def prepare(session: Session) -> Sequence[str]:
-        (session.folder / "sitecustomize.py").write_text(WRITER.format(first=first))
-        paths = [str(session.folder), *filter(None, [session.environment.get("PYTHONPATH")])]
-        session.environment["PYTHONPATH"] = os.pathsep.join(paths)
+        session.customise(WRITER.format(first=first))
         return before(session)
 
     return prepare

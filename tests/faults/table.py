@@ -22,6 +22,7 @@ from injections import (
     cell,
     clock,
     close_terminal,
+    constants,
     flags,
     hogs,
     network,
@@ -98,7 +99,7 @@ STATES: Final = [
         "wrong CRC in every LowState",
         "LowState",
         does("bad_crc"),
-        reason="safety.max_crc_errors",
+        reason="wrong CRC",
         record="complete",
     ),
     Fault(
@@ -120,15 +121,15 @@ STATES: Final = [
         "LowState",
         from_start(says(f"motor.q.{KNEE}", 100.0)),
         sent=False,
-        reason="safety.limit_excess",
+        reason="beyond its limits",
     ),
     Fault(
         "knee of 100 rad in one state of 50",
         "LowState",
         says(f"motor.q.{KNEE}", 100.0, every=50),
-        reason="safety.limit_excess",
+        reason="beyond its limits",
     ),
-    Fault("no CRC any more", "LowState", does("no_crc"), reason="safety.max_crc_errors"),
+    Fault("no CRC any more", "LowState", does("no_crc"), reason="wrong CRC"),
     Fault(
         "no CRC at all",
         "LowState",
@@ -145,12 +146,12 @@ STATES: Final = [
         ends=False,
         record="complete",
     ),
-    Fault("content frozen", "LowState", does("frozen_content"), reason="safety.frozen_timeout"),
+    Fault("content frozen", "LowState", does("frozen_content"), reason="LowState has not changed"),
     Fault(
         "content frozen from the start",
         "LowState",
         from_start(does("frozen_content")),
-        reason="safety.frozen_timeout",
+        reason="LowState has not changed",
         record="complete",
     ),
     Fault(
@@ -202,8 +203,8 @@ STATES: Final = [
     ),
 ]
 
-# The threshold of robot.toml; on loopback it waits for a simulator that gets no CPU time.
-JAM: Final = "[safety]\njam_time = 0.5\njam_motion = 0.3\n"
+# The thresholds of a robot; on loopback it waits for a simulator that gets no CPU time.
+JAM: Final = constants(jam_time=0.5, jam_motion=0.3)
 ROBOT: Final = [
     Fault(
         "pelvis tilts in one state of 50",
@@ -223,8 +224,8 @@ ROBOT: Final = [
         "one joint jams",
         "robot",
         does("jam", joint=ELBOW),
-        prepare=settings(JAM),
-        reason="safety.jam_motion",
+        prepare=JAM,
+        reason="does not follow",
     ),
     Fault(
         "a wrist says 55 rad/s in one state of 50",
@@ -236,7 +237,7 @@ ROBOT: Final = [
         "a joint leaps by 1 rad, again and again",
         "robot",
         [one for k in range(4) for one in does("leap", at=0.8 + k / 10, joint=KNEE, by=1.0)],
-        reason="safety.max_leap",
+        reason="jumped by",
     ),
     Fault("one motor off", "robot", says(f"motor.mode.{KNEE}", 0), reason="left_knee_joint"),
     Fault(
@@ -250,7 +251,7 @@ ROBOT: Final = [
         "winding at 150 C",
         "robot",
         says(f"motor.temperature.{KNEE}", [40, 150]),
-        reason="safety.max_winding_temperature",
+        reason="the winding of",
     ),
     Fault(
         "torque of 300 N·m",
@@ -303,7 +304,7 @@ def _arms(name: str, robot: list[dict[str, Any]] | None = None, **more: Any) -> 
 ARMS: Final = [
     _arms("the motion ends", code=0, ends=False, record="complete"),
     _arms("no LowState any more", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
-    _arms("the elbow jams", does("jam", joint=ELBOW), prepare=settings(JAM), reason="jam_motion"),
+    _arms("the elbow jams", does("jam", joint=ELBOW), prepare=JAM, reason="does not follow"),
     _arms("guard is killed", act=to_guard(signal.SIGKILL), reason="guard"),
     _arms(
         "commands can no longer be written",

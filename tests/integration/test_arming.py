@@ -33,14 +33,17 @@ damp = 0.5
 duration = 0.5
 [safety]  # of a machine that may keep the simulator waiting; the rest is robot.toml's
 state_timeout = 1.0
-frozen_timeout = 2.0
-frozen_motion = 0.5
-max_leap = 1.0
 max_tracking_error = 3.0
-jam_time = 5.0
 max_torque = 10.0
-motor_fault_time = 2.0
-max_missed_ticks = 1.0
+"""
+
+#: Run at the start of each process.
+PATIENT = """
+from g1stream.profiles import PROFILES
+PROFILES["robot"] = PROFILES["robot"]._replace(
+    frozen_timeout=2.0, frozen_motion=0.5, max_leap=1.0, jam_time=5.0, motor_fault_time=2.0,
+    max_missed_ticks=1.0,
+)
 """
 
 SESSION = """
@@ -75,7 +78,7 @@ def in_namespace(tmp_path):
         environment = {
             "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
             "PYTHON": sys.executable,
-            "PYTHONPATH": ":".join(sys.path),
+            "PYTHONPATH": ":".join([str(tmp_path), *sys.path]),
             "HOME": str(tmp_path),
         }
         return subprocess.run(
@@ -95,6 +98,7 @@ def in_namespace(tmp_path):
 @pytest.mark.alone  # the guard damps an armed stream that another test keeps from its CPU
 def test_from_an_active_mode_to_an_armed_session(in_namespace, tmp_path):
     (tmp_path / "settings.toml").write_text(SETTINGS)
+    (tmp_path / "sitecustomize.py").write_text(PATIENT)
     done = in_namespace(SESSION)
     codes = dict(line.split() for line in done.stdout.splitlines() if line[-1:].isdigit())
     assert codes == {

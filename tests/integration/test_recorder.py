@@ -72,7 +72,7 @@ def recording(domain_id, path, channels="standard", **options):
         SessionWriter(path) as writer,
     ):
         pipeline = MessagePipeline(G1.load(), RecordConfig(channels=channels))
-        recorder = Recorder(receiver, participant, writer, pipeline, 0.1, **options)
+        recorder = Recorder(receiver, participant, writer, pipeline, **options)
         with in_thread(lambda stop: recorder.run(stop.is_set)):
             yield recorder
 

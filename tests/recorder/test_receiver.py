@@ -29,7 +29,7 @@ def receiver(domain_id):
 @pytest.fixture
 def recorder(receiver, participant, tmp_path):
     with SessionWriter(tmp_path / "s.mcap") as writer:
-        yield Recorder(receiver, participant, writer, MessagePipeline(G1.load()), 0.1)
+        yield Recorder(receiver, participant, writer, MessagePipeline(G1.load()))
 
 
 @pytest.fixture

@@ -146,10 +146,10 @@ def test_disabled_motors_give_no_torque(simulated, world, command, caplog):
 def test_without_commands_the_motors_only_damp(world, command, caplog, kp, level):
     """Which is no fault after commands that only damp."""
     caplog.set_level(logging.INFO)
-    simulated = SimulatedRobot(world, SimConfig(command_timeout=0.1))
+    simulated = SimulatedRobot(world, SimConfig())
     command.kp[:] = kp
     run(simulated, range(150), command.seal())
-    run(simulated, range(150, 300))
+    run(simulated, range(150, 500))
     state = world.state()
     assert simulated.report.timeouts == 1
     assert caplog.records[-1].levelno == level

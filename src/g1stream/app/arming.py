@@ -122,7 +122,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     state = _plausible_state(participant, plan)
     first = plan.trajectory.sample(plan.interval.start).joint_pos
     distance = np.where(plan.played, first - state.q.astype(np.float64), 0.0)
-    ramp = Ramp.for_distance(distance, round(1e9 * config.stream.ramp), config.stream.ramp_speed)
+    ramp = Ramp.for_distance(distance, round(1e9 * config.stream.ramp), config.constants.ramp_speed)
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
@@ -142,7 +142,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
         limbs=_limbs(distance, plan),
         ramp=ramp.length / 1e9,
         peak_speed=ramp.peak_speed,
-        limits=config.safety.model_dump(),
+        limits=config.safety.model_dump() | config.constants._asdict(),
         wider=tuple(config.wider_than_robot()),
         motion_service=service,
         findings=tuple(findings),
@@ -193,7 +193,10 @@ def _motion_service(participant: Participant, plan: Plan) -> Finding:
 
 
 def _plausible_state(participant: Participant, plan: Plan) -> Reading:
-    checks, state = LowStateChecks(plan.robot, plan.config.safety), LowState()
+    checks, state = (
+        LowStateChecks(plan.robot, plan.config.safety, plan.config.constants),
+        LowState(),
+    )
     wait = plan.config.stream.wait
     deadline = time.monotonic() + wait
     with closing(RawReader(participant, LOWSTATE)) as reader:

@@ -30,7 +30,7 @@ from g1stream.events import ConsoleHandler, handled_by
 from g1stream.optional import require_installed
 from g1stream.realtime import lower_priority
 from g1stream.recorder.receiver import Receiver
-from g1stream.recorder.recorder import raw_messages
+from g1stream.recorder.recorder import BATCH, raw_messages
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.view.pipeline import MessagePipeline
@@ -230,7 +230,7 @@ def _run_child(parent: Parent) -> None:
         receiver.wait_until_ready(parent.done.is_set)
         parent.ready()
         while not parent.done.is_set():
-            time.sleep(settings.batch)
+            time.sleep(BATCH)
             batches = receiver.drain()
             for messages in (*raw_messages(batches), *pipeline.encode(batches)):
                 server.send(messages)

@@ -95,7 +95,7 @@ def record(
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
         writer.flush()
-        recorder = Recorder(receiver, participant, writer, pipeline, settings.batch)
+        recorder = Recorder(receiver, participant, writer, pipeline)
         on_recorder(recorder)
         awaited = []
         if session:

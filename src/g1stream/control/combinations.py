@@ -60,13 +60,12 @@ def require_combination(config: Config, robot: G1, *, simulated: bool) -> None:
     row = receivers[settings.via]
     if source == "motion":
         named = f"stream.via = {settings.via}"
-    network = row["network"]
-    if not (simulated or network is True or (network and getattr(settings, network))):
+    if not (simulated or config.profile == "network-simulator" or row["network"]):
         raise SafetyError(
             f"{named} is not allowed on {network_name(config.dds.interface)}: it was only tried "
             "in simulators, and a robot that falls breaks.",
-            "Use the loopback interface."
-            + (f" Or set stream.{network} = true." if isinstance(network, str) else ""),
+            "Use the loopback interface; or --profile network-simulator, if a simulator is on that "
+            "network and no robot can be reached.",
         )
     for name in sorted(row.keys() - _ABOUT):
         value, allowed = getattr(settings, name), row[name]

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
 
 __all__ = [
+    "DAMP_KD",
     "HAND_BACK_TIME",
     "MOVED",
     "WEIGHT_TIME",
@@ -47,6 +48,9 @@ __all__ = [
 ]
 
 _LOGGER = logging.getLogger(__name__)
+
+DAMP_KD: Final = 3.0
+"""kd of every joint while damping, N·m·s/rad."""
 
 WEIGHT_TIME: Final = 2.0
 """Time in which the weight of rt/arm_sdk goes from 0 to 1 or back, s, as in Unitree's examples."""
@@ -65,7 +69,6 @@ class Composer:
     Args:
         limits: limits of a command.
         gains: kp and kd in all phases except DAMP.
-        damp_kd: kd in DAMP, N·m·s/rad.
         played: (29,) joints that play the motion, as published in the Reference; None: all.
         commanded: (29,) motors that get commands, None: all; the slots of the others are 0.
 
@@ -77,12 +80,10 @@ class Composer:
         self,
         limits: CommandLimits,
         gains: Gains,
-        damp_kd: float,
         played: NDArray[np.bool_] | None = None,
         commanded: NDArray[np.bool_] | None = None,
     ) -> None:
         self.limits = limits
-        self._damp_kd = damp_kd
         self._servo: Floats = np.stack(gains)
         self._wire = np.zeros((3, N_JOINTS), np.float32)
         self._asked = np.zeros((2, N_JOINTS))
@@ -107,7 +108,7 @@ class Composer:
         """Command only damping from now on, without position control; keeps the last target."""
         command = self._command
         command.kp[:] = command.dq[:] = command.tau[:] = 0.0
-        command.kd[:] = self._damp_kd * self._commanded
+        command.kd[:] = DAMP_KD * self._commanded
 
     def compose(
         self,
@@ -202,7 +203,7 @@ class ArmSdkComposer(Composer):
         commanded: NDArray[np.bool_],
         period: int,
     ) -> None:
-        super().__init__(limits, gains, 0.0, played, commanded)
+        super().__init__(limits, gains, played, commanded)
         self._sent, self._tick = 0.0, 0  # weight of the last command, and the tick after it
         self._next = 0.0
         self._period = period

@@ -30,7 +30,7 @@ from cyclonedds.core import DDSException
 
 from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
-from g1stream.control.command import hand_back_commands
+from g1stream.control.command import DAMP_KD, hand_back_commands
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
@@ -241,12 +241,12 @@ class Watch:
         return min(now + _CHECK_PERIOD, limit) if limit > now else now + _CHECK_PERIOD
 
 
-def damping_command(command: bytes, kd: float) -> bytes:
-    """A LowCmd with its CRC that damps with gain `kd`, N·m·s/rad, at the target of `command`."""
+def damping_command(command: bytes) -> bytes:
+    """A LowCmd with its CRC that damps at the target of `command`."""
     damping = LowCmd()
     damping.load(command)
     damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0
-    damping.kd[:] = kd * (damping.motor_mode == 1)  # 0 for missing motors
+    damping.kd[:] = DAMP_KD * (damping.motor_mode == 1)  # 0 for missing motors
     return damping.seal()
 
 
@@ -375,7 +375,6 @@ class _Settings(NamedTuple):
         limit: silence after which a running stream is replaced, ns.
         period: time between two damping commands, ns.
         damp: duration of damping, ns.
-        damp_kd: kd of damping, N·m·s/rad.
         arm_sdk: the stream commands arms and waist through the robot's own controller; they are
             handed back to it instead of damped.
     """
@@ -389,7 +388,6 @@ class _Settings(NamedTuple):
     limit: int
     period: int
     damp: int
-    damp_kd: float
     arm_sdk: bool
 
 
@@ -408,7 +406,6 @@ def _settings(config: Config, memory: int, sockets: Sequence[int]) -> _Settings:
         limit=round(limit * 1e9),
         period=settings.period,
         damp=round(settings.damp * 1e9),
-        damp_kd=settings.damp_kd,
         arm_sdk=settings.via == "arm_sdk",
     )
 
@@ -528,7 +525,7 @@ def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
     if settings.arm_sdk:
         return hand_back_commands(command, settings.period)
     number = -(-settings.damp // settings.period) + 1
-    return repeat(damping_command(command, settings.damp_kd), number)
+    return repeat(damping_command(command), number)
 
 
 if __name__ == "__main__":

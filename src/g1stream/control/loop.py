@@ -413,10 +413,10 @@ def make_loop(
             button of the remote.
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
-    period = settings.period
+    period, onboard = settings.period, plan.topic is ARM_SDK
     limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=source.in_steps)
-    composer = Composer(limits, plan.gains, settings.damp_kd, plan.played, robot.present)
-    if plan.topic is ARM_SDK:
+    composer = Composer(limits, plan.gains, plan.played, robot.present)
+    if onboard:
         composer = ArmSdkComposer(limits, plan.gains, plan.played, plan.held, period)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
     if way_down := source.way_down:
@@ -430,7 +430,7 @@ def make_loop(
         lift=source.lift,
         way_down=way_down,
     )
-    schedule = Schedule(targets, timing, period, settings.ramp_speed)
+    schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
         settings.feedforward,
         settings.support or source.support,
@@ -438,8 +438,8 @@ def make_loop(
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,
         preview=settings.preview,
-        time_scale=settings.time_scale,
-        onboard=settings.via == "arm_sdk",
+        time_scale=config.constants.time_scale,
+        onboard=onboard,
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
@@ -452,11 +452,11 @@ def make_loop(
             composer,
             feedforward,
             period=period,
-            soft_start=round(settings.soft_start * 1e9),
+            soft_start=0 if onboard else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
-        LowStateChecks(robot, config.safety, period, plan.held),
-        Overruns(period, config.safety),
+        LowStateChecks(robot, config.safety, config.constants, period, plan.held),
+        Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
         topic=plan.topic,

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import SafetyConfig
     from g1stream.dds.messages import LowState
+    from g1stream.profiles import ProfileConstants
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
@@ -54,7 +55,7 @@ class LowStateChecks:
 
     Args:
         robot: the robot with its limits.
-        config: the thresholds.
+        config, constants: the thresholds.
         period: time between two checks of LowState, ns.
         held: (29,) joints with a position servo; None: all.
 
@@ -73,20 +74,21 @@ class LowStateChecks:
         self,
         robot: G1,
         config: SafetyConfig,
+        constants: ProfileConstants,
         period: int = 0,
         held: NDArray[np.bool_] | None = None,
     ) -> None:
         self.measured: Reading | None = None
         self.crc_errors = 0
         self.missing = self.stop_reason = ""
-        self._monitor = RobotMonitor(robot, config, period, held)
+        self._monitor = RobotMonitor(robot, config, constants, period, held)
         self._operator = Operator(config.stop_buttons, config.deadman)
-        self._config = config
+        self._config, self._constants = config, constants
         self._robot = robot
         self._allowed = robot.joint_set.allowed(config.mode_machine)
         self._timeout, self._timeout_words = state_timeout(config)
-        self._set_tolerance(min(_START_TOLERANCE, config.limit_excess))
-        self._wrong_crcs: deque[int] = deque(maxlen=config.max_crc_errors + 1)
+        self._set_tolerance(min(_START_TOLERANCE, constants.limit_excess))
+        self._wrong_crcs: deque[int] = deque(maxlen=constants.max_crc_errors + 1)
         self._begun = False
         self._publisher: int | None = None
         self._forget_publisher()
@@ -119,7 +121,7 @@ class LowStateChecks:
         if self.measured:
             self._content_since = self.measured.received
             self._content_target = self.measured.q.astype(np.float64)
-        self._set_tolerance(self._config.limit_excess)
+        self._set_tolerance(self._constants.limit_excess)
 
     def take(
         self, state: LowState, publisher: int, now: int, target: Floats | None = None
@@ -222,14 +224,11 @@ class LowStateChecks:
         return right
 
     def _crcs_wrong(self, now: int) -> str:
-        most = self._config.max_crc_errors
+        most = self._constants.max_crc_errors
         wrong = self._wrong_crcs
         if len(wrong) <= most or now - wrong[0] > _CRC_WINDOW:
             return ""
-        return (
-            f"more than {most} LowStates within a second had a wrong CRC "
-            f"(limit safety.max_crc_errors = {most})"
-        )
+        return f"more than {most} LowStates within a second had a wrong CRC"
 
     def _check_tick(self, tick: int, now: int) -> None:
         if tick == self._tick:
@@ -255,8 +254,7 @@ class LowStateChecks:
             low, high = self._robot.lower[joint], self._robot.upper[joint]
             return (
                 f"{self._robot.joint_names[joint]} is at {q[joint]:.3f} rad, beyond its limits "
-                f"{low:.3f} and {high:.3f} by more than {self._tolerance:g} rad "
-                f"(limit safety.limit_excess{'' if self._begun else ', at most 0.1 at the start'})"
+                f"{low:.3f} and {high:.3f} by more than {self._tolerance:g} rad"
             )
         return ""
 
@@ -272,7 +270,7 @@ class LowStateChecks:
     def _impossible(self, before: Reading, measured: Reading, tick: int) -> str:
         """Why a joint cannot have moved like this since the last change of content, or ""."""
         step, speed = np.abs(measured.q - before.q), np.abs(measured.dq)
-        fastest, most = self._robot.velocity, self._config.max_leap
+        fastest, most = self._robot.velocity, self._constants.max_leap
         if step.max() <= most and (speed <= fastest).all():  # nearly always
             return ""
         # A simulator that is late catches up in a burst; its ticks, in ms, give the passed time.
@@ -284,7 +282,7 @@ class LowStateChecks:
             return (
                 f"{self._robot.joint_names[joint]} jumped by {step[joint]:.3f} rad in "
                 f"{passed:.3f} s, {fastest[joint]:g} rad/s allow {allowed[joint]:.3f} "
-                f"(limit safety.max_leap = {most:g} rad)"
+                f"with a tolerance of {most:g} rad"
             )
         # A joint may reverse within a step, and an impact makes it faster than its motor.
         unseen = speed - _HIT * fastest
@@ -297,9 +295,9 @@ class LowStateChecks:
         return ""
 
     def _frozen(self, now: int, target: Floats | None) -> str:
-        limit, moved_limit = self._config.frozen_timeout, self._config.frozen_motion
+        limit, moved_limit = self._constants.frozen_timeout, self._constants.frozen_motion
         still = (now - self._tick_since) / 1e9
-        words = f"limit safety.frozen_timeout = {limit:g} s"
+        words = f"limit {limit:g} s"
         if self._ticks and still > limit:
             return f"the tick of LowState has been {self._tick} for {still:.3f} s ({words})"
         still = (now - self._content_since) / 1e9
@@ -313,5 +311,5 @@ class LowStateChecks:
             return ""
         return (
             f"LowState has not changed for {still:.3f} s while the targets moved by "
-            f"{moved:.3f} rad ({words}, safety.frozen_motion = {moved_limit:g} rad)"
+            f"{moved:.3f} rad ({words}, {moved_limit:g} rad)"
         )

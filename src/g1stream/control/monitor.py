@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from g1stream.config import SafetyConfig
     from g1stream.control.reading import Reading
     from g1stream.dds.messages import LowState
+    from g1stream.profiles import ProfileConstants
     from g1stream.robot.model import G1
 
 __all__ = ["MOTOR_FAULTS", "RobotMonitor"]
@@ -90,11 +91,11 @@ class RobotMonitor:
 
     Durations are measured in the robot's time. A simulator without enough CPU time repeats its
     LowState and catches up later. The robot's time stops meanwhile, for at most
-    `safety.frozen_timeout`.
+    `constants.frozen_timeout`.
 
     Args:
         robot: the robot with its limits.
-        config: the thresholds.
+        config, constants: the thresholds.
         period: time between two checks of LowState, ns.
         held: (29,) joints with a position servo, which follow a target; None: all.
 
@@ -106,24 +107,25 @@ class RobotMonitor:
         self,
         robot: G1,
         config: SafetyConfig,
+        constants: ProfileConstants,
         period: int = 0,
         held: NDArray[np.bool_] | None = None,
     ) -> None:
         self.max_tilt = _OVERTURNED if config.max_tilt is None else config.max_tilt
-        self._config = config
+        self._config, self._constants = config, constants
         self._max_step = max(_MAX_STEP, period)
-        self._patience = round(config.frozen_timeout * 1e9)
+        self._patience = round(constants.frozen_timeout * 1e9)
         self._names, self._present = robot.joint_names, robot.present
         self._held = held
         self._lower, self._upper = robot.lower, robot.upper
         self._torque = (robot.torque_limit * config.max_torque).astype(np.float32)
-        self._faults = _Lasting(config.motor_fault_time)
-        self._off = _Lasting(config.motor_fault_time)
+        self._faults = _Lasting(constants.motor_fault_time)
+        self._off = _Lasting(constants.motor_fault_time)
         self._low_voltage = _Lasting(_VOLTAGE_TIME)
-        self._high_torque = _Lasting(config.torque_time)
+        self._high_torque = _Lasting(constants.torque_time)
         self._has_modes = False
         self._error: Floats = np.zeros(N_JOINTS)
-        rows = max(2, round(config.jam_time * 1e9 / _JAM_PERIOD) + 1)
+        rows = max(2, round(constants.jam_time * 1e9 / _JAM_PERIOD) + 1)
         self._history = np.zeros((rows, 2, N_JOINTS))
         self._recorded = 0
         self._content = b""
@@ -189,27 +191,23 @@ class RobotMonitor:
         )
 
     def _too_hot(self, state: LowState) -> str:
-        config = self._config
+        constants = self._constants
         hottest = state.temperature.max(axis=0)
-        limits = (config.max_casing_temperature, config.max_winding_temperature)
+        limits = (constants.max_casing_temperature, constants.max_winding_temperature)
         for i, (part, limit) in enumerate(zip(("casing", "winding"), limits, strict=True)):
             if hottest[i] > limit:
                 joint = int(np.argmax(state.temperature[:, i]))
                 return (
-                    f"the {part} of {self._names[joint]} has {hottest[i]} °C "
-                    f"(limit safety.max_{part}_temperature = {limit:g} °C)"
+                    f"the {part} of {self._names[joint]} has {hottest[i]} °C (limit {limit:g} °C)"
                 )
         return ""
 
     def _without_voltage(self, state: LowState, now: int) -> str:
-        volts, limit = state.vol, self._config.min_voltage
+        volts, limit = state.vol, self._constants.min_voltage
         joint = self._low_voltage.beyond(now, (volts < limit) & (volts > 0.0))
         if joint is None:
             return ""
-        return (
-            f"{self._names[joint]} is supplied with {volts[joint]:.1f} V "
-            f"(limit safety.min_voltage = {limit:g} V)"
-        )
+        return f"{self._names[joint]} is supplied with {volts[joint]:.1f} V (limit {limit:g} V)"
 
     def _motor_off(self, state: LowState, now: int) -> str:
         modes = np.where(self._present, state.motor_mode, 1 if self._has_modes else 0)
@@ -222,7 +220,7 @@ class RobotMonitor:
         return (
             f"the motor of {self._names[joint]} is off (mode 0) although it is commanded on, one "
             f"of {np.count_nonzero(modes == 0)} "
-            f"(limit safety.motor_fault_time = {self._config.motor_fault_time:g} s)"
+            f"(limit {self._constants.motor_fault_time:g} s)"
         )
 
     def _motor_fault(self, state: LowState, now: int) -> str:
@@ -235,7 +233,7 @@ class RobotMonitor:
         return (
             f"the motor of {self._names[joint]} reports motorstate 0x{value:x}: "
             f"{', '.join(named) or 'unknown'} "
-            f"(settings safety.motor_fault_mask, safety.motor_fault_time)"
+            f"(limit {self._constants.motor_fault_time:g} s, bits of safety.motor_fault_mask)"
         )
 
     def _overloaded(self, measured: Reading, now: int) -> str:
@@ -246,22 +244,21 @@ class RobotMonitor:
         config = self._config
         return (
             f"{self._names[joint]} has {torque[joint]:.1f} N·m for more than "
-            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} N·m, "
+            f"{self._constants.torque_time:g} s (limit {self._torque[joint]:.1f} N·m, "
             f"safety.max_torque = {config.max_torque:g} times its torque limit)"
         )
 
     def _off_track(self, measured: Reading, target: Floats, passed: float) -> str:
-        config = self._config
-        share = min(1.0, passed / config.tracking_time)
+        average, limit = self._constants.tracking_time, self._config.max_tracking_error
+        share = min(1.0, passed / average)
         self._error += (np.abs(target - measured.q) - self._error) * share
         joint = int(np.argmax(self._error))
-        if self._error[joint] <= config.max_tracking_error:
+        if self._error[joint] <= limit:
             return ""
         return (
             f"{self._names[joint]} is {abs(target[joint] - measured.q[joint]):.2f} rad from its "
-            f"target, {self._error[joint]:.2f} rad on average over safety.tracking_time = "
-            f"{config.tracking_time:g} s (limit safety.max_tracking_error = "
-            f"{config.max_tracking_error:g} rad)"
+            f"target, {self._error[joint]:.2f} rad on average over {average:g} s "
+            f"(limit safety.max_tracking_error = {limit:g} rad)"
         )
 
     def _jammed(self, measured: Reading, target: Floats, now: int) -> str:
@@ -274,13 +271,13 @@ class RobotMonitor:
         if self._recorded < rows:
             return ""
         asked, moved = np.ptp(self._history, axis=0)
-        jammed = (asked > self._config.jam_motion) & (moved < _JAM_SHARE * asked)
+        jammed = (asked > self._constants.jam_motion) & (moved < _JAM_SHARE * asked)
         if not jammed.any():
             return ""
         joint = int(np.argmax(np.where(jammed, asked, 0.0)))
         return (
             f"{self._names[joint]} does not follow: its target moved by {asked[joint]:.2f} rad in "
-            f"{self._config.jam_time:g} s, the joint by {moved[joint]:.2f} rad with "
+            f"{self._constants.jam_time:g} s, the joint by {moved[joint]:.2f} rad with "
             f"{abs(measured.tau[joint]):.1f} N·m "
-            f"(limit safety.jam_motion = {self._config.jam_motion:g} rad)"
+            f"(limit {_JAM_SHARE:.0%} of its target's motion)"
         )

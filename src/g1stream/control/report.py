@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from g1stream.control.limits import CommandLimits
     from g1stream.control.lowstate import LowStateChecks
     from g1stream.control.schedule import Schedule
+    from g1stream.profiles import ProfileConstants
 
 __all__ = ["Lateness", "LoopReport", "Overruns"]
 
@@ -161,12 +162,12 @@ class Overruns:
 
     Args:
         period: time between ticks, ns.
-        config: the thresholds.
+        config, constants: the thresholds.
     """
 
-    def __init__(self, period: int, config: SafetyConfig) -> None:
+    def __init__(self, period: int, config: SafetyConfig, constants: ProfileConstants) -> None:
         self._ticks_per_second = _SECOND / period
-        self._share = config.max_missed_ticks
+        self._share = constants.max_missed_ticks
         self._timeout, self._timeout_words = state_timeout(config)
         self._recent: deque[tuple[int, int]] = deque()
         self._skipped = 0
@@ -205,6 +206,6 @@ class Overruns:
             return ""
         return (
             f"the loop missed {missed} of {self._ticks_per_second:.0f} ticks within a second on "
-            f"this machine (limit safety.max_missed_ticks = {self._share:g} of them); a "
+            f"this machine (limit {self._share:.0%} of them); a "
             "lower stream.rate needs less CPU time"
         )

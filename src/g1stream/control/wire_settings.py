@@ -34,6 +34,5 @@ def for_wire(config: Config) -> Config:
     timing = {
         "ramp": max(config.stream.ramp, WEIGHT_TIME),
         "damp": HAND_BACK_TIME,
-        "soft_start": 0.0,
     }
     return config.model_copy(update={"stream": config.stream.model_copy(update=timing)})

@@ -39,9 +39,12 @@ if TYPE_CHECKING:
     from g1stream.session.writer import SessionWriter
     from g1stream.view.pipeline import MessagePipeline
 
-__all__ = ["Recorder", "raw_messages"]
+__all__ = ["BATCH", "Recorder", "raw_messages"]
 
 _LOGGER = logging.getLogger(__name__)
+
+BATCH: Final = 0.05
+"""Interval at which received samples are processed, s."""
 
 #: Median delay, positive or negative, above which a warning is logged during the recording, ns.
 _MAX_DELAY_NS: Final = 20_000_000
@@ -117,7 +120,6 @@ class Recorder:
         participant: a participant in the same domain, to identify publishers.
         writer: writer of the session file.
         pipeline: makes messages for viewers from the samples.
-        batch: interval at which samples are written, s.
         clocks: reads this machine's clocks.
 
     Attributes:
@@ -130,13 +132,11 @@ class Recorder:
         participant: Participant,
         writer: SessionWriter,
         pipeline: MessagePipeline,
-        batch: float,
         *,
         clocks: Callable[[], ClockReading] = read_clocks,
     ) -> None:
         self._participant = participant
         self._writer = writer
-        self._batch_s = batch
         self._clocks = clocks
         self._receiver = receiver
         self._pipeline = pipeline
@@ -199,7 +199,7 @@ class Recorder:
             if not should_stop():
                 on_ready()
             while not should_stop():
-                time.sleep(self._batch_s)
+                time.sleep(BATCH)
                 self._write_batches()
             time.sleep(_LINGER)
             self._receiver.stop()
@@ -257,7 +257,7 @@ class Recorder:
         self._write_events()
         # Chunks that would be due before the next batch are written now, so that all samples of a
         # batch are written together, and within the writer's time limit.
-        self._writer.flush_if_due(time.time_ns() + round(self._batch_s * 1e9))
+        self._writer.flush_if_due(time.time_ns() + round(BATCH * 1e9))
         return bool(batches)
 
     def _write_events(self) -> None:
@@ -275,7 +275,7 @@ class Recorder:
             delays.clear()
             self._timed.discard(name)
         delays.append(int(np.median(np.subtract(batch.log_times, batch.publish_times))))
-        if name in self._timed or len(delays) * self._batch_s < 1.0:
+        if name in self._timed or len(delays) * BATCH < 1.0:
             return
         self._timed.add(name)
         self._publishers[name] = Publishers.from_participant(self._participant, name)

@@ -32,7 +32,9 @@ _LOGGER = logging.getLogger(__name__)
 MODE_MACHINE_29: Final = 5
 """mode_machine of a G1 with 29 joints, in its LowState and in every LowCmd for it."""
 
-_TIMEOUT_KD: Final = 3.0  # N·m·s/rad
+#: Time without a LowCmd after which the motors only damp, ns, and their kd, N·m·s/rad.
+_TIMEOUT: Final = 500_000_000
+_TIMEOUT_KD: Final = 3.0
 _LOG_PERIOD: Final = 1_000_000_000  # ns
 
 
@@ -71,7 +73,8 @@ class SimulatedRobot:
 
     It checks a LowCmd as strictly as the robot. The CRC must be right, `mode_machine` must be its
     own, ankles and waist must be commanded as pitch and roll, and values must be finite. Only
-    enabled motors move. Without a LowCmd for `command_timeout`, its motors only damp.
+    enabled motors move. Without a LowCmd for 0.5 s, its motors only
+    damp.
 
     Args:
         world: the physics.
@@ -101,7 +104,6 @@ class SimulatedRobot:
         self._mode_machine = mode_machine
         self._noise = noise or SensorNoise(config.noise, config.seed)
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
-        self._timeout = round(config.command_timeout * 1e9)
         self._delay = round((config.command_delay + world.command_delay) * 1e9)
         self._arriving: deque[tuple[int, bytes]] = deque()  # commands with their times, ns
         self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
@@ -158,7 +160,7 @@ class SimulatedRobot:
         """
         while self._arriving and self._arriving[0][0] <= now + self.period // 2:
             self._check_command(self._arriving.popleft()[1], now)
-        if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
+        if self._accepted_at is not None and now - self._accepted_at > _TIMEOUT:
             self._accepted_at = None
             self.report.timeouts += 1
             # A stream ends in DAMP, without stiffness, so a timeout after that is not a fault.

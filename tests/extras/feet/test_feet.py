@@ -150,18 +150,18 @@ def test_it_steps_to_where_the_motion_goes():
     assert np.linalg.norm(apart) - 2e-3 < loop.report.summary().balance.feet_error_m < 0.015
 
 
-def test_where_there_may_be_a_robot_it_has_to_be_allowed_with_its_torques():
-    def made(**stream):
-        asked = {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
+def test_it_is_refused_where_there_may_be_a_robot():
+    def made(**more):
+        asked = {"dds": {"interface": "eth0"}, "stream": {"support": "feet"}} | more
         settings = Config.model_validate(asked)
         require_combination(settings, G1.default(), simulated=False)
         return load_source(settings, G1.default(), simulated=False)
 
     with pytest.raises(SafetyError, match="eth0"):
         made()
-    with pytest.raises(ConfigError):
-        made(experimental_feet=True)
-    assert isinstance(made(experimental_feet=True, feedforward="dynamics"), StandingTorques)
+    with pytest.raises(SafetyError):
+        made(profile="robot")
+    assert isinstance(made(profile="network-simulator"), StandingTorques)
 
 
 def play(world, motion, announced, on_state):

@@ -18,6 +18,7 @@ from g1stream.errors import ConfigError, SafetyError, WireError
 from g1stream.extras.onboard.simulated import MotionService
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
+from g1stream.profiles import PROFILES
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 
 STILL = Motion.from_arrays(np.zeros((51, 29)), fps=50.0, name="still")
@@ -50,9 +51,12 @@ def still_robot(domain_id, publishing):
 
 
 @pytest.fixture
-def config(domain_id):
-    timing = {"wait": 2.0, "ramp": 0.4, "soft_start": 0.1, "duration": 0.2, "hold": 0, "damp": 0.5}
-    patient = {"state_timeout": 1.0, "max_missed_ticks": 1.0}  # the bridge shares this process
+def config(domain_id, monkeypatch):
+    timing = {"wait": 2.0, "ramp": 0.4, "duration": 0.2, "hold": 0, "damp": 0.5}
+    # The bridge shares this process.
+    slow = PROFILES["simulator"]._replace(max_missed_ticks=1.0, soft_start=0.1)
+    monkeypatch.setitem(PROFILES, "simulator", slow)
+    patient = {"state_timeout": 1.0}
     return Config.model_validate(
         {"dds": {"domain": domain_id}, "stream": timing, "safety": patient}
     )
@@ -128,7 +132,7 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
     assert report.furthest.distance == pytest.approx(way[np.abs(way).argmax()], abs=1e-6)
     assert report.furthest.joint == JOINT_NAMES[np.abs(way).argmax()]
     assert report.limbs[0].distance == pytest.approx(way[np.abs(way[:6]).argmax()], abs=1e-6)
-    least = 1.875 * abs(report.furthest.distance) / config.stream.ramp_speed
+    least = 1.875 * abs(report.furthest.distance) / config.constants.ramp_speed
     assert report.ramp == pytest.approx(max(config.stream.ramp, least))
     peak = 1.875 * abs(report.furthest.distance) / report.ramp
     assert report.peak_speed == pytest.approx(peak)

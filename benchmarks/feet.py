@@ -113,9 +113,9 @@ def play(motion: Motion, trouble: Trouble, seed: int) -> Run:
 
     link = Lockstep(SimulatedRobot(world, settings, noise=measure), "free")
     loop: Any = make_loop(plan(motion, CONFIG, simulated=True), link, link, settle=0)
-    reason = loop.run().reason
+    stop = loop.run().stop
     rmse = float(np.sqrt(squares / max(stood, 1)))
-    return Run(stood / 500.0, rmse, reason, pushed / 500.0, *falls)
+    return Run(stood / 500.0, rmse, stop.text if stop else "", pushed / 500.0, *falls)
 
 
 def table(name: str, motion: Motion, seeds: range, trouble: Trouble = NONE) -> None:

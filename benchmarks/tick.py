@@ -80,10 +80,10 @@ def parts() -> dict[str, Callable[[int], object]]:
         state.q[:] = target.q
         return k * round(PERIOD * 1e9)
 
-    def check(_: int) -> str:
+    def check(_: int) -> object:
         now = publish()
         checks.take(state, 1, now, target.q)
-        return checks.unknown(now, target.q) or checks.stop_reason
+        return checks.unknown(now, target.q) or checks.stop
 
     composer.begin(measured.q, mode_machine=5)
 

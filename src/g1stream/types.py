@@ -24,6 +24,7 @@ __all__ = [
     "OtherJoints",
     "Phase",
     "Profile",
+    "StopKind",
     "StreamSupport",
     "Support",
     "Velocities",
@@ -71,6 +72,35 @@ ChannelSet = Literal["raw", "standard", "full"]
 """Channels of a session file beside the samples, the log and the metadata. `raw` has none,
 `standard` has those for viewers, at `record.tf_rate`, and `full` also has the joint states of every
 sample."""
+
+StopKind = Literal[
+    "signal",
+    "requested",
+    "operator",
+    "no_robot",
+    "state",
+    "robot",
+    "tilt",
+    "speed",
+    "torque",
+    "tracking",
+    "jam",
+    "motor",
+    "temperature",
+    "voltage",
+    "fall",
+    "target",
+    "loop",
+    "publisher",
+    "guard",
+    "recorder",
+    "error",
+]
+"""Why a session ends early: a signal, a program (`requested`), the remote (`operator`), no robot
+within `stream.wait`, a LowState that is missing or implausible (`state`), another robot than the
+configured one, its condition (tilt to voltage), a source that cannot keep it on its feet (`fall`),
+a target that a joint cannot follow, a loop that misses its ticks, another publisher, the guard
+process, a required recording, or an exception."""
 
 Camera = Literal["front", "oblique", "left", "back", "right"]
 """Position of a video's camera around the robot."""

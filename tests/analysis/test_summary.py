@@ -1,5 +1,6 @@
 import json
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from g1stream.analysis.summarise import find_problems, message_stats, summarise_
 from g1stream.analysis.summary import Summary
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
+from g1stream.control.stop import REMEDIES
 from g1stream.dds.messages import LowCmd, LowState
 from g1stream.session.records import (
     RecorderSummary,
@@ -15,7 +17,7 @@ from g1stream.session.records import (
 )
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import LogEvent, Stream
-from g1stream.types import Phase
+from g1stream.types import Phase, StopKind
 
 T0 = 1_700_000_000_000_000_000
 STREAM = StreamSummary(reason="", commands=2500, support="bolted")
@@ -137,6 +139,14 @@ def test_gaps_and_clocks_that_differ_are_problems(play, take, summarise):
     assert gaps == {"/lowcmd": 1, "/reference": 1, "/lowstate": 0}
     assert summary.topics["/lowstate"].clock_offset_s == pytest.approx(2.5, abs=1e-3)
     assert len(summary.problems) == 2
+
+
+@pytest.mark.parametrize("kind", get_args(StopKind))
+def test_what_to_do_follows_from_the_kind_of_the_stop_and_not_from_its_words(kind):
+    stream = StreamSummary(reason="any words", stop=kind)
+    (problem,) = find_problems(Summary(stream=stream))
+    assert problem == f"The stream ended early: any words. {REMEDIES.get(kind, '')}".strip()
+    assert REMEDIES.keys() < {*get_args(StopKind)}
 
 
 @pytest.mark.parametrize(("step_s", "ended"), [(3600, True), (-3600, False)])

@@ -14,32 +14,37 @@ from g1stream.cli.command import (
     _HANDLED,
     confirmed,
     exit_code,
-    exit_code_of_signal,
     on_signals,
     print_summary,
 )
-from g1stream.session.records import RecorderSummary
+from g1stream.session.records import RecorderSummary, StreamSummary
 
 
 @pytest.mark.parametrize(
-    ("reason", "recorder", "code"),
+    ("reason", "signalled", "recorder", "code"),
     [
-        ("", None, 0),
-        ("", {"lost": {"/lowstate": 0}}, 0),
-        ("", {"lost": {"/lowstate": 1}}, 1),
-        ("", {"malformed": {"/lowstate": 1}}, 1),
-        ("", {"dropped_datagrams": 1}, 1),
-        ("", {"stopped": "The disk is full."}, 1),
-        ("", {"first_ns": None}, 1),
-        ("no LowState came within 1 s", None, 1),
-        ("SIGINT", None, 130),
-        ("SIGTERM", {"lost": {"/lowstate": 1}}, 143),
-        (None, {}, 0),
+        ("", None, None, 0),
+        ("", None, {"lost": {"/lowstate": 0}}, 0),
+        ("", None, {"lost": {"/lowstate": 1}}, 1),
+        ("", None, {"malformed": {"/lowstate": 1}}, 1),
+        ("", None, {"dropped_datagrams": 1}, 1),
+        ("", None, {"stopped": "The disk is full."}, 1),
+        ("", None, {"first_ns": None}, 1),
+        ("no LowState came within 1 s", None, None, 1),
+        ("SIGINT", None, None, 1),  # the words of a program, not a signal
+        ("any words", signal.SIGINT, None, 130),
+        ("any words", signal.SIGTERM, {"lost": {"/lowstate": 1}}, 143),
+        (None, None, {}, 0),
     ],
 )
-def test_the_exit_code(reason, recorder, code):
+def test_the_exit_code(reason, signalled, recorder, code):
     received = None if recorder is None else RecorderSummary(**{"first_ns": 1, **recorder})
-    assert exit_code(Summary(termination=Termination(reason=reason), recorder=received)) == code
+    summary = Summary(
+        termination=Termination(reason=reason),
+        stream=StreamSummary(signal=signalled),
+        recorder=received,
+    )
+    assert exit_code(summary) == code
 
 
 def test_a_file_without_the_recorders_summary_is_not_complete():
@@ -59,11 +64,11 @@ def test_json_is_the_record(capsys):
         *(signal.SIGUSR1, signal.SIGALRM, signal.SIGABRT, signal.SIGRTMIN + 3, signal.SIGPROF),
     ],
 )
-def test_every_signal_that_ends_a_process_is_a_reason_with_its_exit_code(number):
-    before, reasons = signal.getsignal(number), []
-    with on_signals(reasons.append):
+def test_every_signal_that_ends_a_process_is_handled(number):
+    before, received = signal.getsignal(number), []
+    with on_signals(received.append):
         os.kill(os.getpid(), number)
-    assert [exit_code_of_signal(reason) for reason in reasons] == [128 + number]
+    assert received == [number]
     assert signal.getsignal(number) == before
 
 

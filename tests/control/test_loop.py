@@ -40,7 +40,7 @@ def test_a_whole_session(make_loop, link, clock, events):
     assert events() == [(logging.INFO, text) for text in went]
     assert loop.state.phase is Phase.DONE
     assert report is loop.report
-    assert report.reason == ""
+    assert report.stop is None
     assert report.commands == ALL
     assert report.states == 151 + ALL  # one a tick, those of WAIT included
     assert report.skipped == 0
@@ -181,7 +181,7 @@ def test_a_stall_skips_ticks_and_delays_the_motion_by_what_is_beyond_20_ms(
     deadline = clock.now() + SETTLE + PERIOD + at * PERIOD
     clock.oversleeps[deadline] = late
     report = make_loop().run()
-    assert (report.reason, report.skipped, report.delay) == ("", skipped, delayed * PERIOD)
+    assert (report.stop, report.skipped, report.delay) == (None, skipped, delayed * PERIOD)
     assert report.commands == ALL - skipped + delayed
     assert report.lateness.maximum_ns == late - skipped * PERIOD
     sent, following = link.sent[at : at + 2]
@@ -195,7 +195,7 @@ def test_a_stall_skips_ticks_and_delays_the_motion_by_what_is_beyond_20_ms(
 def test_a_long_stall_damps(make_loop, link, clock):
     clock.oversleeps[clock.now() + SETTLE + PERIOD + 80 * PERIOD] = 100 * MS + PERIOD
     report = make_loop().run()
-    assert "stalled for 0.102 s" in report.reason
+    assert "stalled for 0.102 s" in report.stop.text
     assert link.phases() == {"RAMP": RAMP, "PLAY": 30, "DAMP": DAMP}
     link.assert_damped()
 
@@ -256,7 +256,7 @@ def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loo
 
     link.on_send = come
     loop = make_loop(feedforward=feedforward("dynamics", "bolted", source=source))
-    assert loop.run().reason == ""
+    assert loop.run().stop is None
     coasting = 100  # commands, 0.2 s
     assert link.phases()["RAMP"] == 200 + coasting + 1
     assert link.phases()["PLAY"] == PLAY

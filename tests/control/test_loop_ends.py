@@ -1,9 +1,11 @@
 import logging
+import signal
 
 import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
+from g1stream.control.stop import Stop
 from g1stream.control.targets import Targets
 from g1stream.errors import SafetyError
 from g1stream.types import Phase
@@ -16,10 +18,10 @@ RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 100  # commands that the phases of `timing
 @pytest.mark.parametrize("n", [0, RAMP, 200, RAMP + PLAY + 3])
 def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     loop = make_loop()
-    link.at_send(n, lambda: loop.request_stop("SIGINT", logging.INFO))
+    link.at_send(n, lambda: loop.request_stop(Stop.by_signal(signal.SIGINT)))
     report = loop.run()
     assert report.commands == n + 1 + DAMP
-    assert report.reason == "SIGINT"
+    assert report.stop == Stop("signal", "SIGINT", 2)
     assert report.played == 2 * MS * min(max(0, n + 1 - RAMP), PLAY)
     link.assert_damped()
     stopped = Phase(int(link.sent[n].reference.phase)).name
@@ -54,14 +56,14 @@ def test_a_command_that_could_not_be_written_is_none(make_loop, link, phase):
 def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
     loop = make_loop()
     link.on_send = lambda i: loop.request_stop(f"stop {i}") if i >= 100 else None
-    assert loop.run().reason == "stop 100"
+    assert loop.run().stop.text == "stop 100"
     link.assert_damped()
 
 
 def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
     loop = make_loop()
     loop.request_stop("SIGTERM")
-    assert loop.run().reason == "SIGTERM"
+    assert loop.run().stop.text == "SIGTERM"
     assert link.sent == []
     assert events() == [(logging.ERROR, "WAIT -> DONE: SIGTERM")]
     assert loop.report.rate is None
@@ -71,7 +73,7 @@ def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
 def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n):
     link.at_send(n, lambda: setattr(link, "guard_took_over", "the guard damps"))
     loop = make_loop()
-    assert loop.run().reason == "the guard damps"
+    assert loop.run().stop.text == "the guard damps"
     assert int(link.sent[n + 1].reference.phase) == Phase.DAMP
     link.assert_damped()
     assert loop.damped
@@ -80,8 +82,8 @@ def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n)
 def test_a_stale_state_damps(make_loop, link):
     link.at_send(99, lambda: setattr(link, "silent", True))
     report = make_loop().run()
-    assert "no LowState for 0.102 s" in report.reason
-    assert "skipped" not in report.reason
+    assert "no LowState for 0.102 s" in report.stop.text
+    assert "skipped" not in report.stop.text
     # The last state came with the command before; the first tick beyond 0.1 s prepares the next.
     damped = link.in_phase(Phase.DAMP)[0]
     assert damped.time - link.sent[98].time == 102 * MS + PERIOD
@@ -90,7 +92,7 @@ def test_a_stale_state_damps(make_loop, link):
 
 def test_a_wrong_robot_gets_no_command(make_loop, link):
     link.robot.mode_machine[()] = 4
-    assert "mode_machine 4" in make_loop().run().reason
+    assert "mode_machine 4" in make_loop().run().stop.text
     assert link.sent == []
 
 
@@ -107,7 +109,7 @@ def test_another_publisher_is_refused_before_the_first_command(make_loop, link, 
     with pytest.raises(SafetyError, match=f"publisher on {topic}: ") as no:
         loop.run()
     assert ", ".join(PUBLISHERS) in no.value.cause
-    assert loop.report.reason == no.value.cause.rstrip(".")
+    assert loop.report.stop.text == no.value.cause.rstrip(".")
     assert link.sent == []
 
 
@@ -115,7 +117,7 @@ def test_another_publisher_is_refused_before_the_first_command(make_loop, link, 
 def test_another_publisher_stops_within_a_tenth_of_a_second(make_loop, link, others, topic):
     link.at_send(120, lambda: setattr(link, others, PUBLISHERS))
     report = make_loop().run()
-    assert report.reason.endswith(f"publisher on {topic}: {', '.join(PUBLISHERS)}")
+    assert report.stop.text.endswith(f"publisher on {topic}: {', '.join(PUBLISHERS)}")
     assert 1 <= report.commands - DAMP - 120 <= 51
     link.assert_damped()
 
@@ -130,7 +132,7 @@ def test_the_guard_is_no_other_publisher(make_loop, link, monkeypatch):
 
     monkeypatch.setattr(link, "other_publishers", discovered)
     report = make_loop().run()
-    assert report.reason == "the guard process damps the robot"
+    assert report.stop.text == "the guard process damps the robot"
     link.assert_damped()
 
 
@@ -146,7 +148,7 @@ def test_a_state_that_is_wrong_damps(make_loop, link, change, reason):
     link.robot.wireless_remote[2] = 1
     link.at_send(120, lambda: change(link))
     report = make_loop(SafetyConfig(deadman="R1")).run()
-    assert report.reason.startswith(reason)
+    assert report.stop.text.startswith(reason)
     assert report.commands == 121 + DAMP
     link.assert_damped()
 
@@ -154,7 +156,7 @@ def test_a_state_that_is_wrong_damps(make_loop, link, change, reason):
 def test_another_publisher_may_be_allowed(make_loop, link):
     with link.contested():
         report = make_loop(allow_second_writer=True).run()
-    assert (report.commands, report.reason) == (RAMP + PLAY + HOLD + DAMP, "")
+    assert (report.commands, report.stop) == (RAMP + PLAY + HOLD + DAMP, None)
 
 
 @pytest.mark.parametrize(
@@ -170,8 +172,8 @@ def test_what_is_missing_is_named_after_the_wait(make_loop, link, clock, spoil, 
     spoil(link)
     start = clock.now()
     report = make_loop().run()
-    assert report.reason.startswith(reason)
-    assert "stream.wait" in report.reason
+    assert report.stop.text.startswith(reason)
+    assert "stream.wait" in report.stop.text
     assert link.sent == []
     assert clock.now() - start == 1000 * MS - PERIOD
 
@@ -197,7 +199,7 @@ def test_the_first_command_waits_for_the_robot(make_loop, link, clock, spoil):
 
     link.receive = receive_at
     report = make_loop(SafetyConfig(mode_machine=(5,), deadman="R1")).run()
-    assert report.reason == ""
+    assert report.stop is None
     assert link.sent[0].time == start + 700 * MS + PERIOD
     link.assert_damped()
 
@@ -214,7 +216,7 @@ def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(
         return None if silent[0] <= clock.now() - start < silent[1] else receive(state)
 
     bare_link.receive = receive_unless_silent
-    assert make_loop(link=bare_link).run().reason == ""
+    assert make_loop(link=bare_link).run().stop is None
     # The first LowState after the silence came too late after the one before.
     assert bare_link.sent[0].time == start + silent[1] + 2 * PERIOD
 
@@ -226,8 +228,8 @@ def test_a_machine_that_stalls_is_told_beside_a_silent_robot(make_loop, link, cl
 
     link.at_send(120, fall_silent)
     report = make_loop().run()
-    assert "safety.state_timeout" in report.reason
-    assert "skipped 8 ticks" in report.reason
+    assert "safety.state_timeout" in report.stop.text
+    assert "skipped 8 ticks" in report.stop.text
     link.assert_damped()
 
 
@@ -277,7 +279,7 @@ def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, chan
     assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
     link.assert_damped()
     assert loop.state.phase is Phase.DONE
-    assert loop.report.reason == "BrokenError: no target"
+    assert loop.report.stop.text == "BrokenError: no target"
     assert events()[-1] == (logging.ERROR, "PLAY -> DAMP: BrokenError: no target")
 
 
@@ -372,5 +374,5 @@ def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events
         loop.run()
     assert link.sent == []
     assert loop.state.phase is Phase.DONE
-    assert loop.report.reason == "BrokenError: no wire"
+    assert loop.report.stop.text == "BrokenError: no wire"
     assert events() == []  # the error is told by who gets it

@@ -49,7 +49,7 @@ def test_a_state_from_before_the_session_is_discarded(make_loop, bare_link):
     bare_link.publish_state(old.tobytes())
     with bare_link.subscribed():
         report = make_loop(link=bare_link).run()
-    assert "no LowState received" in report.reason
+    assert "no LowState received" in report.stop.text
     assert report.commands == 0
 
 
@@ -59,7 +59,7 @@ def test_states_of_a_stall_are_received_before_their_age_is_checked(make_loop, l
     clock.oversleeps[late] = 100_000_000
     report = make_loop().run()
     assert report.skipped == 50
-    assert report.reason == ""
+    assert report.stop is None
 
 
 @pytest.mark.parametrize(
@@ -80,5 +80,5 @@ def test_a_tilt_ends_the_session_of_a_robot_that_nothing_holds(
     link.at_send(20, lambda: link.robot.quaternion.__setitem__(slice(None), turned))
     with link.held(support):
         report = loop.run()
-    assert ("tilt" in report.reason) == damps
+    assert (report.stop is not None and report.stop.kind == "tilt") == damps
     assert len(link.in_phase(Phase.PLAY)) == (0 if damps else PLAYED)

@@ -40,7 +40,7 @@ def test_a_stop_during_the_soft_start_keeps_damping(make_loop, link, at):
     loop = make_loop(soft_start=2 * SOFT * MS)
     link.at_send(at, lambda: loop.request_stop("enough"))
     report = loop.run()
-    assert report.reason == "enough"
+    assert report.stop.text == "enough"
     assert not any(sent.command.kp.any() for sent in link.sent)
     assert {int(sent.reference.phase) for sent in link.sent} == {Phase.DAMP}
     assert len(link.sent) >= at + 100

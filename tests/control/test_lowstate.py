@@ -95,7 +95,7 @@ def test_a_number_that_is_not_finite(make, field, bad, named):
     values = getattr(it.state, field)
     values[min(5, len(values) - 1)] = bad
     assert named in it.publish()
-    assert it.checks.stop_reason == ""  # what is not believed is not judged
+    assert it.checks.stop is None  # what is not believed is not judged
 
 
 @pytest.mark.parametrize(
@@ -250,8 +250,8 @@ def test_mode_machine(name, allowed):
         it = Robot(robot)
         it.state.mode_machine[()] = machine
         assert it.publish() == ""
-        assert (it.checks.stop_reason == "") == (machine in allowed)
-        assert machine in allowed or f"mode_machine {machine}" in it.checks.stop_reason
+        assert (it.checks.stop is None) == (machine in allowed)
+        assert machine in allowed or it.checks.stop.kind == "robot"
 
 
 def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
@@ -268,10 +268,10 @@ def test_the_remote_counts_from_the_first_command_on(make):
     it.state.wireless_remote[2:4] = (0x20, 0x02)
     it.publish()
     assert "safety.deadman" in it.checks.missing
-    assert it.checks.stop_reason == ""
+    assert it.checks.stop is None
     it.checks.begin(None)
     it.publish()
-    assert it.checks.stop_reason.startswith("L2+B was pressed")
+    assert it.checks.stop.kind == "operator"
 
 
 @pytest.mark.parametrize(("interval", "waits"), [(0.09, False), (0.2, True)])

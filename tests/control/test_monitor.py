@@ -27,7 +27,7 @@ class Watched:
         self.measuring = True
 
     def after(self, seconds, motion=lambda t: None):
-        """The stop_reason after some time, and how long it took, s."""
+        """The kind of the stop within some time, or "", and how long it took, s."""
         step = self.period / 1e9
         for i in range(round(seconds / step)):
             self.now += self.period
@@ -35,8 +35,9 @@ class Watched:
                 self.state.gyroscope[0] += 0.001
             motion(i * step)
             measured = Reading.from_low_state(self.state, self.now)
-            if reason := self.monitor.stop_reason(self.state, measured, self.now, self.target):
-                return reason, (i + 1) * step
+            if stop := self.monitor.stop(self.state, measured, self.now, self.target):
+                self.text = stop.text
+                return stop.kind, (i + 1) * step
         return "", seconds
 
 
@@ -51,7 +52,7 @@ def test_tilt(make, angle, stops):
     turned = Rotation.from_euler("z", 0.7) * Rotation.from_rotvec([0, angle, 0])
     it.state.quaternion[:] = np.roll(turned.as_quat(), 1)
     reason, passed = it.after(0.1)
-    assert ("safety.max_tilt = 0.8 rad" in reason) == stops
+    assert (reason == "tilt") == stops
     assert not stops or passed == 0.002
 
 
@@ -84,7 +85,7 @@ def test_joint_speed(make, speed, stops):
     it.state.dq[KNEE] = speed
     it.state.dq[5] = 12.0
     reason, passed = it.after(0.1)
-    assert reason.startswith("left_knee_joint moves at 12.5 rad/s") == stops
+    assert (reason == "speed") == stops
     assert not stops or passed == 0.002
 
 
@@ -98,8 +99,8 @@ def test_temperature(make, part, name, commanded):
     assert it.after(0.1)[0] == ""
     it.state.temperature[KNEE, part] = 71
     reason, passed = it.after(0.1)
-    assert f"{name} of left_knee_joint has 71 °C" in reason
-    assert f"the {name} of left_knee_joint has 71" in reason
+    assert reason == "temperature"
+    assert f"the {name} of left_knee_joint has 71" in it.text
     assert passed <= 0.022
 
 
@@ -117,7 +118,7 @@ def test_voltage(make, measuring):
     assert it.after(0.1)[0] == ""
     it.state.vol[KNEE] = 41.5
     reason, passed = it.after(1.0)
-    assert reason.startswith("left_knee_joint is supplied with 41.5 V")
+    assert reason == "voltage"
     assert passed == pytest.approx(0.5, abs=0.042)
 
 
@@ -129,10 +130,11 @@ def test_a_motor_that_is_off(make):
     assert it.after(0.1)[0] == ""
     it.state.motor_mode = np.where(np.arange(29) == KNEE, 0, 1)
     reason, passed = it.after(1.0)
-    assert "left_knee_joint is off (mode 0)" in reason
+    assert reason == "motor"
     assert passed == pytest.approx(0.1, abs=0.042)
     it.state.motor_mode = 0
-    assert "one of 29" in it.after(1.0)[0]
+    assert it.after(1.0)[0] == "motor"
+    assert "one of 29" in it.text
 
 
 @pytest.mark.parametrize("period", [2 * MS, 20 * MS])
@@ -140,7 +142,8 @@ def test_a_motor_that_reports_a_fault_as_long_at_every_rate(make, period):
     it = make(period=period, motor_fault_time=0.5)
     it.state.motorstate[KNEE] = 0x201
     reason, passed = it.after(1.0)
-    assert "left_knee_joint reports motorstate 0x201: overcurrent, winding overheating" in reason
+    assert reason == "motor"
+    assert "0x201: overcurrent, winding overheating" in it.text
     assert passed == pytest.approx(0.5, abs=0.042)
 
 
@@ -161,7 +164,8 @@ def test_torque(make, robot):
     assert it.after(1.0)[0] == ""
     it.state.tau_est[KNEE] = -1.11 * limit
     reason, passed = it.after(1.0)
-    assert reason.startswith(f"left_knee_joint has {1.11 * limit:.1f} N·m")
+    assert reason == "torque"
+    assert f"{1.11 * limit:.1f} N·m" in it.text
     assert passed == pytest.approx(0.2, abs=0.042)
 
 
@@ -173,7 +177,8 @@ def test_tracking_error_is_averaged(make):
     it = make(max_tracking_error=0.3, tracking_time=1.0)
     it.target[KNEE] = 0.6
     reason, passed = it.after(3.0)
-    assert reason.startswith("left_knee_joint is 0.60 rad from its target")
+    assert reason == "tracking"
+    assert it.text.startswith("left_knee_joint is 0.60 rad")
     assert passed == pytest.approx(np.log(2), abs=0.05)
 
 
@@ -215,7 +220,7 @@ def test_a_jam(make, amplitude, share, stops):
         it.state.q[KNEE] = 0.6 + share * amplitude * np.sin(4 * t)
 
     reason, passed = it.after(3.0, swing)
-    assert reason.startswith("left_knee_joint does not follow") == stops
+    assert (reason == "jam") == stops
     assert not stops or passed == pytest.approx(1.0, abs=0.15)
 
 

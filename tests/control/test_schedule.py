@@ -31,7 +31,7 @@ def test_gives_up_waiting_at_the_exact_instant():
     state = PhaseState(WAIT, START)
     given_up = step(START + 1000, state, WAITING, TIMING)
     assert (given_up.phase, given_up.since) == (DONE, START + 1000)
-    assert given_up.reason == "no LowState (waited for stream.wait = 1e-06 s)"
+    assert given_up.stop.text == "no LowState (waited for stream.wait = 1e-06 s)"
     assert step(START + 1000, state, READY, TIMING).phase is RAMP
 
 

@@ -15,6 +15,7 @@ from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
 from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.control.stop import REMEDIES
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError
 from g1stream.events import GUARD
@@ -276,7 +277,8 @@ def find_problems(summary: Summary) -> Iterator[str]:
 
 def _stream_problems(stream: StreamSummary) -> Iterator[str]:
     if stream.reason:
-        yield f"The stream ended early: {stream.reason}."
+        remedy = REMEDIES.get(stream.stop, "") if stream.stop else ""
+        yield f"The stream ended early: {stream.reason}." + (f" {remedy}" if remedy else "")
     for finding in stream.findings:
         yield f"{finding.cause.rstrip('.')}. {finding.remedy}".strip()
     late = stream.lateness_us.max if stream.lateness_us else 0.0
@@ -467,7 +469,12 @@ def _undamped_in(
 def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """The settings that differ from this version's defaults, by key such as `stream.rate`."""
     defaults = flat(Config().model_dump(mode="json"))
-    return {key: value for key, value in flat(config).items() if value != defaults.get(key)}
+    return {
+        key: value
+        for key, value in flat(config).items()
+        # What an earlier version set and this one does not know is not compared.
+        if value != defaults.get(key) and (key in defaults or key.startswith("gains."))
+    }
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -16,6 +16,7 @@ from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.guard import Guard
 from g1stream.control.link import END_OTHER, DdsLink
+from g1stream.control.stop import Stop
 from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
@@ -155,7 +156,7 @@ def _summarise(
         motion=MotionInfo.from_motion(planned.motion),
         params=ParametersInfo.from_robot(planned.robot),
         termination=Termination(
-            reason=report.reason,
+            reason=played.reason,
             played_s=report.played / 1e9,
             motion_s=planned.motion.duration,
             start_s=planned.interval.start,
@@ -211,7 +212,8 @@ class _RecorderChild:
         self._failure = cause
         _LOGGER.error("the recording failed: %s", cause)
         if self._required:
-            self._loop.end_for_error(f"the recording failed: {cause.rstrip('.')}")
+            text = f"the recording failed: {cause.rstrip('.')}"
+            self._loop.end_for_error(Stop("recorder", text))
 
     def finish(self, stream: StreamSummary) -> RecorderSummary:
         """End the recording, and return its summary, or only the cause if the recorder failed.
@@ -290,7 +292,7 @@ def _diagnose(
     from g1stream.doctor.findings import explain_no_robot
     from g1stream.doctor.inspection import inspect_participant, search_elsewhere
 
-    waited = "stream.wait" in report.reason
+    waited = report.stop and report.stop.kind == "no_robot"
     if report.commands or not waited or (report.states and link.subscribers()):
         return []
     try:

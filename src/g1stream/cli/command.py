@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from g1stream.config import Config
 
 EXIT_OK, EXIT_STOPPED = 0, 1
+#: Added to the number of the signal that ended the program, as in a shell.
+EXIT_SIGNAL = 128
 
 _S = signal.Signals
 _HANDLED = tuple(
@@ -195,8 +197,8 @@ def confirmed(interface: str, yes: str | None) -> bool:
             f"Run it on a terminal, or confirm in advance with --yes {interface}.",
         )
 
-    def end(reason: str) -> None:
-        raise SystemExit(exit_code_of_signal(reason))
+    def end(number: int) -> None:
+        raise SystemExit(EXIT_SIGNAL + number)
 
     with on_signals(end):  # nothing moves yet, so a signal only ends the question
         print(f"Type {interface} to continue: ", end="", file=sys.stderr, flush=True)
@@ -204,14 +206,14 @@ def confirmed(interface: str, yes: str | None) -> bool:
 
 
 @contextmanager
-def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Call `stop` with the name of each signal that would end or stop the process, in a `with`.
+def on_signals(stop: Callable[[int], None]) -> Iterator[None]:
+    """Call `stop` with the number of each signal that would end or stop the process, in a `with`.
 
     A signal with a handler from outside Python keeps it, because Python could not restore it.
     `python -X faulthandler` installs one for SIGABRT.
     """
     before = {
-        number: signal.signal(number, lambda received, _: stop(_signal_name(received)))
+        number: signal.signal(number, lambda received, _: stop(received))
         for number in _HANDLED
         if signal.getsignal(number) is not None
     }
@@ -220,19 +222,6 @@ def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # only the first and the last real-time signal have a name
-        return f"SIGRTMIN+{number - signal.SIGRTMIN}"
-
-
-def exit_code_of_signal(reason: str) -> int | None:
-    """128 + n if the reason is the name of signal n, as in a shell; None otherwise."""
-    names = {_signal_name(number): 128 + number for number in _HANDLED}
-    return names.get(reason)
 
 
 def print_warning(*texts: str) -> None:
@@ -271,9 +260,10 @@ def exit_code(summary: Summary) -> int:
     the stream. 1 if something else ended it, or if a recording lacks samples, received none or has
     no summary from its recorder.
     """
-    reason, recorder = summary.termination.reason, summary.recorder
-    if reason:
-        return exit_code_of_signal(reason) or EXIT_STOPPED
+    recorder, stream = summary.recorder, summary.stream
+    if summary.termination.reason:
+        number = stream.signal if stream else None
+        return EXIT_SIGNAL + number if number else EXIT_STOPPED
     if recorder is None:
         return EXIT_STOPPED if summary.files_bytes else EXIT_OK
     return EXIT_OK if recorder.complete and recorder.first_ns is not None else EXIT_STOPPED

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from g1stream.cli.command import (
     EXIT_OK,
-    EXIT_STOPPED,
+    EXIT_SIGNAL,
     QuietFlag,
-    exit_code_of_signal,
     on_signals,
     print_json,
     print_lines,
@@ -21,6 +20,7 @@ from g1stream.cli.command import (
 from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.cli.progress import showing_progress
+from g1stream.control.stop import Stop
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
 from g1stream.optional import extension
@@ -42,7 +42,15 @@ _OF_FORMAT: Final = {"files", "to", "velocities", "frames", "urdf", "force", "js
 
 
 class _StoppedError(BaseException):
-    """A signal was received. The argument is its name."""
+    """A signal was received.
+
+    Args:
+        number: its number.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +186,9 @@ class Convert(MotionPartFlags, QuietFlag):
         try:
             return self._convert()
         except _StoppedError as stopped:
-            print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
-            return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
+            name = Stop.by_signal(stopped.number).text
+            print(f"\nStopped by {name}; nothing was written.", file=sys.stderr)
+            return EXIT_SIGNAL + stopped.number
 
     def _require(self, flags: set[str], what: str) -> None:
         if given := self._given(flags):
@@ -218,7 +227,7 @@ class Convert(MotionPartFlags, QuietFlag):
     def _convert(self) -> int:
         # Checked between chunks: an exception raised in a signal handler could come between the
         # creation of the temporary file and the code that removes it.
-        stopped: list[str] = []
+        stopped: list[int] = []
         with on_signals(stopped.append), showing_progress() as progress:
 
             def on_progress(fraction: float) -> None:

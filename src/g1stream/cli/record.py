@@ -50,7 +50,7 @@ class Record(LiveCommand):
         """Record, and return the exit code."""
         from g1stream.app.record import record
 
-        stopped: list[str] = []
+        stopped: list[int] = []
         config = self.resolve()
 
         def on_ready() -> None:

@@ -55,7 +55,7 @@ class Sim(LiveCommand):
         """Simulate, and return the exit code."""
         from g1stream.app.sim import simulate
 
-        stopped: list[str] = []
+        stopped: list[int] = []
         config = self.resolve()
 
         def on_ready() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import textwrap
 from contextlib import ExitStack, contextmanager
@@ -11,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from g1stream.cli.command import (
+    EXIT_SIGNAL,
     LiveCommand,
     announce_wire,
     confirmed,
     exit_code,
-    exit_code_of_signal,
     on_signals,
     print_lines,
     print_summary,
@@ -26,6 +25,7 @@ from g1stream.cli.doctor import render as render_findings
 from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
+from g1stream.control.stop import Stop
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 
@@ -92,14 +92,14 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
     yet. The signal handlers stay until the recording is complete.
     """
     loops: list[StreamLoop] = []
-    early: list[str] = []
+    early: list[int] = []
 
-    def stop(reason: str) -> None:
+    def stop(number: int) -> None:
         if early and not loops:  # a policy's rehearsal takes seconds
-            raise SystemExit(exit_code_of_signal(reason))
-        early.append(reason)
+            raise SystemExit(EXIT_SIGNAL + number)
+        early.append(number)
         for loop in loops:
-            loop.request_stop(reason, logging.INFO)
+            loop.request_stop(Stop.by_signal(number))
 
     with ExitStack() as stack:
         stack.enter_context(on_signals(stop))
@@ -108,7 +108,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
         def prepare(loop: StreamLoop, motion: Motion) -> None:
             loops.append(loop)
             if early:
-                loop.request_stop(early[0], logging.INFO)
+                loop.request_stop(Stop.by_signal(early[0]))
             stack.enter_context(ProgressDisplay(lambda: loop_status(loop, motion)))
 
         yield prepare

@@ -13,6 +13,7 @@ import numpy as np
 from g1stream.control.reading import STALE, all_finite, is_unit
 from g1stream.control.robot_time import TimeScale
 from g1stream.control.sources import Source
+from g1stream.control.stop import Stop
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
 from g1stream.session.records import FeedForwardChange
@@ -102,10 +103,12 @@ class FeedForward:
         self._fault = ""  # the reported fault
         self._tau = np.zeros(N_JOINTS)
 
-    def stop_reason(self) -> str:
-        """Why the robot has to be damped, or ""."""
-        lost = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
-        return self.source.fall or (lost if self.source.needed and self._fault else "")
+    def stop(self) -> Stop | None:
+        """Why the robot has to be damped, or None."""
+        fall = self.source.fall
+        if not fall and self.source.needed and self._fault:
+            fall = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
+        return Stop("fall", fall) if fall else None
 
     def begin(self, announced: str | None, robot: str | None = None) -> None:
         """Choose kind, support and preview, and log the choice.

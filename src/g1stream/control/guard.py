@@ -31,6 +31,7 @@ from cyclonedds.core import DDSException
 from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
 from g1stream.control.command import DAMP_KD, hand_back_commands
+from g1stream.control.stop import Stop
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
@@ -268,7 +269,7 @@ class GuardedLoop(Protocol):
 
     damped: bool
 
-    def end_for_error(self, reason: str) -> None:
+    def end_for_error(self, stop: Stop) -> None:
         """End the run through DAMP, unless it is already ending."""
 
 
@@ -360,7 +361,7 @@ class Guard:
         loop = self._loop
         if loop is None or (self._heartbeat and self._heartbeat.takeover):
             return
-        loop.end_for_error(f"the guard process failed: {cause.rstrip('.')}")
+        loop.end_for_error(Stop("guard", f"the guard process failed: {cause.rstrip('.')}"))
 
 
 class _Settings(NamedTuple):

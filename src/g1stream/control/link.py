@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.control.guard import HANDS_BACK, Takeover, count_subscribers
+from g1stream.control.stop import Stop
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
@@ -248,8 +249,8 @@ class OtherPublishers:
         self._allow_second_writer = allow_second_writer
         self._next_command_check = self._next_state_check = 0
 
-    def stop_reason(self, now: int, *, waiting: bool) -> str:
-        """Why the session must end because of other publishers, or "".
+    def stop(self, now: int, *, waiting: bool) -> Stop | None:
+        """Why the session must end because of other publishers, or None.
 
         Args:
             now: time, ns.
@@ -261,13 +262,17 @@ class OtherPublishers:
             if several := self.of_state():
                 return several
         if self._allow_second_writer or now < self._next_command_check:
-            return ""
+            return None
         if not waiting:
             self._next_command_check = now + _PERIOD
         others = self._link.other_publishers()
-        return f"another publisher on {self._topic.name}: {', '.join(others)}" if others else ""
+        if not others:
+            return None
+        return Stop("publisher", f"another publisher on {self._topic.name}: {', '.join(others)}")
 
-    def of_state(self) -> str:
-        """Why the session must end because several publish LowState, or ""."""
-        names = self._link.state_publishers()
-        return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""
+    def of_state(self) -> Stop | None:
+        """Why the session must end because several publish LowState, or None."""
+        if not (names := self._link.state_publishers()):
+            return None
+        text = f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}"
+        return Stop("publisher", text)

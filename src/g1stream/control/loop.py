@@ -20,6 +20,7 @@ from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.robot_time import RobotTime
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
+from g1stream.control.stop import Stop
 from g1stream.control.targets import COAST_NS, Targets, Timing
 from g1stream.dds.domain import SETTLE
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
@@ -100,9 +101,8 @@ class StreamLoop:
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
-        self._requested = ""  # why to end the run, after the way down if there is one
-        self._requested_level = logging.ERROR
-        self._stop_reason = ""  # why to end the run immediately
+        self._requested: Stop | None = None  # after the way down, if there is one
+        self._stop: Stop | None = None  # immediately
         self.damped = True
         self.stop_requests = 0
         self.report = LoopReport(
@@ -134,23 +134,23 @@ class StreamLoop:
         start, length = self._schedule.first.motion_time, self._schedule.play
         return start, inf if length is None else start + length / 1e9
 
-    def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
+    def request_stop(self, reason: str | Stop) -> None:
         """End the run through DAMP; can be called from a signal handler or another thread.
 
         A balancing robot goes down first; a second request damps it immediately.
 
         Args:
             reason: why the run ends, logged when DAMP begins.
-            level: `logging` level of that event.
         """
         if not self._requested:
-            self._requested, self._requested_level = reason, level
+            asked = reason if isinstance(reason, Stop) else Stop("requested", reason)
+            self._requested = asked
         self.stop_requests += 1
 
-    def end_for_error(self, reason: str) -> None:
+    def end_for_error(self, stop: Stop) -> None:
         """Request a stop, unless one is requested; a second one would skip the way down."""
         if not self.stop_requests:
-            self.request_stop(reason)
+            self.request_stop(stop)
 
     def run(self) -> LoopReport:
         """Play until DONE.
@@ -200,8 +200,8 @@ class StreamLoop:
         """Change to DAMP if the guard process damps the robot."""
         if not self.newest or self.state.phase >= Phase.DAMP:
             return
-        if reason := self._link.replaced():
-            self._stop_reason = self._stop_reason or reason
+        if stop := self._replaced():
+            self._stop = self._stop or stop
             self._advance(self._clock.now(), deadline)
             self._prepare(deadline)
 
@@ -217,7 +217,7 @@ class StreamLoop:
             self._schedule.delay(gap)
         else:
             if stalled := self._overruns.stalled(gap):
-                self._stop_reason = self._stop_reason or stalled
+                self._stop = self._stop or stalled
             delay = max(0, gap - max(0, _CATCH_UP - self._period))
             self._schedule.delay(delay)
             if self._feedforward.source.own_time:
@@ -270,7 +270,7 @@ class StreamLoop:
 
     def _advance(self, now: int, deadline: int) -> None:
         if self._requested:
-            self._end_as_requested(deadline)
+            self._end_as_requested(deadline, self._requested)
         before = self.state
         source = self._feedforward.source
         if before.phase is Phase.RAMP:
@@ -286,24 +286,29 @@ class StreamLoop:
                 self._next_told = before.elapsed(now) + _TOLD_AGAIN
                 longest = self._schedule.wait / 1e9
                 _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
-        reason = self._reason_to_stop(now, unknown)
-        if reason and before.phase < Phase.DAMP:  # commands of the guard look like another writer
-            reason = self._link.replaced() or reason
-        self._schedule.advance(deadline, Inputs(missing, reason))
+        stop = self._reason_to_stop(now, unknown)
+        if stop and before.phase < Phase.DAMP:  # commands of the guard look like another writer
+            stop = self._replaced() or stop
+        self._schedule.advance(deadline, Inputs(missing, stop))
         if self.state.phase is not before.phase:
             self._enter_phase(before)
         elif self.state.phase is Phase.RAMP:
             self._commands.continue_soft_start(deadline, self._measured)
 
-    def _end_as_requested(self, deadline: int) -> None:
+    def _replaced(self) -> Stop | None:
+        """Why the run must end because the guard process has taken over, or None."""
+        why = self._link.replaced()
+        return Stop("guard", why) if why else None
+
+    def _end_as_requested(self, deadline: int, requested: Stop) -> None:
         """End the run, after the way down if the source has one and it is possible."""
         if self.stop_requests > 1 or not self._schedule.go_down(
             deadline,
-            self._requested,
+            requested,
             self._commands.last,
             stands=self._feedforward.source.stands,
         ):
-            self._stop_reason = self._stop_reason or self._requested
+            self._stop = self._stop or requested
 
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
@@ -318,20 +323,19 @@ class StreamLoop:
             fault += f"; this machine stalled, and the loop skipped {counted(skipped, 'tick')}"
         return fault
 
-    def _reason_to_stop(self, now: int, unknown: str) -> str:
+    def _reason_to_stop(self, now: int, unknown: str) -> Stop | None:
         phase = self.state.phase
-        if self._stop_reason or phase >= Phase.DAMP:
-            return self._stop_reason
+        if self._stop or phase >= Phase.DAMP:
+            return self._stop
         if unknown and phase is not Phase.WAIT:
-            return self._others.of_state() or unknown
-        wrong = "" if unknown else self._checks.stop_reason
-        wrong = wrong or self._feedforward.stop_reason()
-        if wrong := wrong or self._overruns.stop_reason():
+            return self._others.of_state() or Stop("state", unknown)
+        wrong = None if unknown else self._checks.stop
+        if wrong := wrong or self._feedforward.stop() or self._overruns.stop():
             return wrong
-        other = self._others.stop_reason(now, waiting=phase is Phase.WAIT)
+        other = self._others.stop(now, waiting=phase is Phase.WAIT)
         if other and phase is Phase.WAIT:
             raise SafetyError(
-                f"There is {other}; nothing was sent.",
+                f"There is {other.text}; nothing was sent.",
                 f"{END_OTHER[self._topic]} Or use another --domain.",
             )
         return other
@@ -349,17 +353,16 @@ class StreamLoop:
         elif phase is Phase.DAMP:
             self._commands.composer.damp()
         change = f"{before.phase.name} -> {phase.name}"
-        reason = self.state.reason if before.phase < Phase.DAMP else ""
-        level = logging.INFO
-        if reason:
-            level = self._requested_level if reason == self._requested else logging.ERROR
-        _LOGGER.log(level, f"{change}: {reason}" if reason else change)
+        stop = self.state.stop if before.phase < Phase.DAMP else None
+        level = logging.ERROR if stop and stop.kind != "signal" else logging.INFO
+        _LOGGER.log(level, f"{change}: {stop.text}" if stop else change)
         if phase is Phase.DAMP and self._topic is ARM_SDK:
             _LOGGER.info("arms and waist are handed back to the robot's own controller")
 
     def _prepare(self, deadline: int) -> None:
         self._commands.prepare(deadline, self._clock.now(), self._measured)
-        self._stop_reason = self._stop_reason or self._commands.composer.limits.fault
+        if fault := self._commands.composer.limits.fault:
+            self._stop = self._stop or Stop("target", fault)
 
     def _abort(self, error: BaseException) -> None:
         """After a failure of the loop itself, damp at the last valid target."""
@@ -369,7 +372,9 @@ class StreamLoop:
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, G1StreamError):
             reason = error.cause.rstrip(".")
-        self._schedule.state = PhaseState(Phase.DAMP if last else Phase.DONE, start, reason)
+        self._schedule.state = PhaseState(
+            Phase.DAMP if last else Phase.DONE, start, Stop("error", reason)
+        )
         try:
             if last and before.phase < Phase.DAMP:  # otherwise the raised error is sufficient
                 self._enter_phase(before)

@@ -15,6 +15,7 @@ import numpy as np
 
 from g1stream.control.monitor import RobotMonitor
 from g1stream.control.reading import Reading, all_finite, is_unit, ticks_between
+from g1stream.control.stop import Stop
 from g1stream.dds.remote import Operator
 from g1stream.robot.joints import JointSet
 
@@ -63,8 +64,8 @@ class LowStateChecks:
         measured: the newest LowState with a right CRC; None before the first.
         crc_errors: number of LowStates that were dropped because of their CRC.
         missing: why the first command has to wait, for the operator or for more LowStates, or "".
-        stop_reason: why the session must end because of the newest LowState, or ""; see `unknown`
-            for a LowState that is not plausible.
+        stop: why the session must end because of the newest LowState, or None; see `unknown` for a
+            LowState that is not plausible.
 
     Raises:
         ConfigError: a setting is not a button of the remote.
@@ -80,7 +81,8 @@ class LowStateChecks:
     ) -> None:
         self.measured: Reading | None = None
         self.crc_errors = 0
-        self.missing = self.stop_reason = ""
+        self.missing = ""
+        self.stop: Stop | None = None
         self._monitor = RobotMonitor(robot, config, constants, period, held)
         self._operator = Operator(config.stop_buttons, config.deadman)
         self._config, self._constants = config, constants
@@ -141,13 +143,13 @@ class LowStateChecks:
         seldom = _SELDOM if self._interval > STATE_TIMEOUT else ""
         self.missing = self._operator.missing(buttons) or seldom
         if self.unknown(now, target):
-            self.stop_reason = ""
-            return measured
-        self.stop_reason = (
-            (self._operator.stop_reason(buttons) if self._begun else "")
-            or self._wrong_robot()
-            or self._monitor.stop_reason(state, measured, now, target)
-        )
+            self.stop = None
+        elif self._begun and (pressed := self._operator.stop_reason(buttons)):
+            self.stop = Stop("operator", pressed)
+        elif wrong := self._wrong_robot():
+            self.stop = Stop("robot", wrong)
+        else:
+            self.stop = self._monitor.stop(state, measured, now, target)
         return measured
 
     def _read(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.control.stop import Stop
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import tilt_of
 from g1stream.types import Floats, Ints
@@ -132,10 +133,10 @@ class RobotMonitor:
         self._changed = self._seen = self._next = 0
         self._time = self._last = self._next_jam = 0  # in the robot's time
 
-    def stop_reason(
+    def stop(
         self, state: LowState, measured: Reading, now: int, target: Floats | None = None
-    ) -> str:
-        """Why the session must end, or "".
+    ) -> Stop | None:
+        """Why the session must end; None if it need not.
 
         Args:
             state: a LowState.
@@ -169,115 +170,124 @@ class RobotMonitor:
             or self._jammed(measured, target, time)
         )
 
-    def _tilted(self, measured: Reading) -> str:
+    def _tilted(self, measured: Reading) -> Stop | None:
         tilt, limit = tilt_of(measured.imu.quat_wxyz), self.max_tilt
         if tilt <= limit:
-            return ""
-        return (
+            return None
+        return Stop(
+            "tilt",
             f"the pelvis tilt is {tilt:.2f} rad ({limit:g} rad is upside down, or its IMU is wrong)"
             if self._config.max_tilt is None and limit == _OVERTURNED
             else f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad; raise "
-            "it only for a robot that hangs and may swing further)"
+            "it only for a robot that hangs and may swing further)",
         )
 
-    def _too_fast(self, measured: Reading) -> str:
+    def _too_fast(self, measured: Reading) -> Stop | None:
         limit, dq = self._config.max_joint_speed, measured.dq
         if max(dq.max(), -dq.min()) <= limit:
-            return ""
+            return None
         joint = int(np.argmax(np.abs(dq)))
-        return (
+        return Stop(
+            "speed",
             f"{self._names[joint]} moves at {abs(dq[joint]):.1f} rad/s "
-            f"(limit safety.max_joint_speed = {limit:g} rad/s)"
+            f"(limit safety.max_joint_speed = {limit:g} rad/s)",
         )
 
-    def _too_hot(self, state: LowState) -> str:
+    def _too_hot(self, state: LowState) -> Stop | None:
         constants = self._constants
         hottest = state.temperature.max(axis=0)
         limits = (constants.max_casing_temperature, constants.max_winding_temperature)
         for i, (part, limit) in enumerate(zip(("casing", "winding"), limits, strict=True)):
             if hottest[i] > limit:
                 joint = int(np.argmax(state.temperature[:, i]))
-                return (
-                    f"the {part} of {self._names[joint]} has {hottest[i]} °C (limit {limit:g} °C)"
+                return Stop(
+                    "temperature",
+                    f"the {part} of {self._names[joint]} has {hottest[i]} °C (limit {limit:g} °C)",
                 )
-        return ""
+        return None
 
-    def _without_voltage(self, state: LowState, now: int) -> str:
+    def _without_voltage(self, state: LowState, now: int) -> Stop | None:
         volts, limit = state.vol, self._constants.min_voltage
         joint = self._low_voltage.beyond(now, (volts < limit) & (volts > 0.0))
         if joint is None:
-            return ""
-        return f"{self._names[joint]} is supplied with {volts[joint]:.1f} V (limit {limit:g} V)"
+            return None
+        text = f"{self._names[joint]} is supplied with {volts[joint]:.1f} V (limit {limit:g} V)"
+        return Stop("voltage", text)
 
-    def _motor_off(self, state: LowState, now: int) -> str:
+    def _motor_off(self, state: LowState, now: int) -> Stop | None:
         modes = np.where(self._present, state.motor_mode, 1 if self._has_modes else 0)
         self._has_modes = self._has_modes or bool(modes.any())
         if not self._has_modes:
-            return ""
+            return None
         joint = self._off.beyond(now, modes == 0)
         if joint is None:
-            return ""
-        return (
+            return None
+        return Stop(
+            "motor",
             f"the motor of {self._names[joint]} is off (mode 0) although it is commanded on, one "
             f"of {np.count_nonzero(modes == 0)} "
-            f"(limit {self._constants.motor_fault_time:g} s)"
+            f"(limit {self._constants.motor_fault_time:g} s)",
         )
 
-    def _motor_fault(self, state: LowState, now: int) -> str:
+    def _motor_fault(self, state: LowState, now: int) -> Stop | None:
         bits = state.motorstate & np.uint32(self._config.motor_fault_mask) * self._present
         joint = self._faults.beyond(now, bits != 0)
         if joint is None:
-            return ""
+            return None
         value = int(bits[joint])
         named = [text for bit, text in MOTOR_FAULTS.items() if value & bit]
-        return (
+        return Stop(
+            "motor",
             f"the motor of {self._names[joint]} reports motorstate 0x{value:x}: "
             f"{', '.join(named) or 'unknown'} "
-            f"(limit {self._constants.motor_fault_time:g} s, bits of safety.motor_fault_mask)"
+            f"(limit {self._constants.motor_fault_time:g} s, bits of safety.motor_fault_mask)",
         )
 
-    def _overloaded(self, measured: Reading, now: int) -> str:
+    def _overloaded(self, measured: Reading, now: int) -> Stop | None:
         torque = np.abs(measured.tau)
         joint = self._high_torque.beyond(now, torque > self._torque)
         if joint is None:
-            return ""
+            return None
         config = self._config
-        return (
+        return Stop(
+            "torque",
             f"{self._names[joint]} has {torque[joint]:.1f} N·m for more than "
             f"{self._constants.torque_time:g} s (limit {self._torque[joint]:.1f} N·m, "
-            f"safety.max_torque = {config.max_torque:g} times its torque limit)"
+            f"safety.max_torque = {config.max_torque:g} times its torque limit)",
         )
 
-    def _off_track(self, measured: Reading, target: Floats, passed: float) -> str:
+    def _off_track(self, measured: Reading, target: Floats, passed: float) -> Stop | None:
         average, limit = self._constants.tracking_time, self._config.max_tracking_error
         share = min(1.0, passed / average)
         self._error += (np.abs(target - measured.q) - self._error) * share
         joint = int(np.argmax(self._error))
         if self._error[joint] <= limit:
-            return ""
-        return (
+            return None
+        return Stop(
+            "tracking",
             f"{self._names[joint]} is {abs(target[joint] - measured.q[joint]):.2f} rad from its "
             f"target, {self._error[joint]:.2f} rad on average over {average:g} s "
-            f"(limit safety.max_tracking_error = {limit:g} rad)"
+            f"(limit safety.max_tracking_error = {limit:g} rad)",
         )
 
-    def _jammed(self, measured: Reading, target: Floats, now: int) -> str:
+    def _jammed(self, measured: Reading, target: Floats, now: int) -> Stop | None:
         if now < self._next_jam:
-            return ""
+            return None
         self._next_jam = now + _JAM_PERIOD
         rows = len(self._history)
         self._history[self._recorded % rows] = target, measured.q
         self._recorded += 1
         if self._recorded < rows:
-            return ""
+            return None
         asked, moved = np.ptp(self._history, axis=0)
         jammed = (asked > self._constants.jam_motion) & (moved < _JAM_SHARE * asked)
         if not jammed.any():
-            return ""
+            return None
         joint = int(np.argmax(np.where(jammed, asked, 0.0)))
-        return (
+        return Stop(
+            "jam",
             f"{self._names[joint]} does not follow: its target moved by {asked[joint]:.2f} rad in "
             f"{self._constants.jam_time:g} s, the joint by {moved[joint]:.2f} rad with "
             f"{abs(measured.tau[joint]):.1f} N·m "
-            f"(limit {_JAM_SHARE:.0%} of its target's motion)"
+            f"(limit {_JAM_SHARE:.0%} of its target's motion)",
         )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.control.lowstate import state_timeout
+from g1stream.control.stop import Stop
 from g1stream.control.tracking_error import RunningError
 from g1stream.robot.joints import by_joint
 from g1stream.session.records import Percentiles, StreamSummary
@@ -108,9 +109,9 @@ class LoopReport:
     error: RunningError = field(default_factory=RunningError)
 
     @property
-    def reason(self) -> str:
-        """Why the run ended early; "" during the run and after the end of the motion."""
-        return self.schedule.state.reason
+    def stop(self) -> Stop | None:
+        """Why the run ended early; None during the run and after the end of the motion."""
+        return self.schedule.state.stop
 
     @property
     def rate(self) -> float | None:
@@ -127,7 +128,9 @@ class LoopReport:
             p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
             percentiles = Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=late.maximum_ns / 1e3)
         return StreamSummary(
-            reason=self.reason,
+            reason=self.stop.text if self.stop else "",
+            stop=self.stop.kind if self.stop else None,
+            signal=self.stop.signal if self.stop else None,
             commands=self.commands,
             rate_hz=self.rate,
             nominal_rate_hz=1e9 / self.period,
@@ -192,20 +195,23 @@ class Overruns:
             level, "overrun: %d ticks skipped since the last message, %d in total", new, skipped
         )
 
-    def stalled(self, gap: int) -> str:
-        """Why the session must end after deadlines were missed for `gap` ns, or ""."""
+    def stalled(self, gap: int) -> Stop | None:
+        """Why the session must end after deadlines were missed for `gap` ns, or None."""
         self._longest = max(self._longest, gap)
         if gap / 1e9 <= self._timeout:
-            return ""
-        return f"the loop stalled for {gap / 1e9:.3f} s on this machine ({self._timeout_words})"
+            return None
+        return Stop(
+            "loop",
+            f"the loop stalled for {gap / 1e9:.3f} s on this machine ({self._timeout_words})",
+        )
 
-    def stop_reason(self) -> str:
-        """Why the session must end because of the ticks missed in the last second, or ""."""
+    def stop(self) -> Stop | None:
+        """Why the session must end because of the ticks missed in the last second, or None."""
         missed = sum(new for _, new in self._recent)
         if missed <= self._share * self._ticks_per_second:
-            return ""
-        return (
+            return None
+        return Stop(
+            "loop",
             f"the loop missed {missed} of {self._ticks_per_second:.0f} ticks within a second on "
-            f"this machine (limit {self._share:.0%} of them); a "
-            "lower stream.rate needs less CPU time"
+            f"this machine (limit {self._share:.0%} of them)",
         )

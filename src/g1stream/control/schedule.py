@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
+from g1stream.control.stop import Stop
 from g1stream.control.targets import COAST_NS, Ramp, Timing
 from g1stream.types import Phase
 
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from g1stream.control.targets import Target, Targets
+    from g1stream.control.stop import Stop
+from g1stream.control.targets import Target, Targets
 
 __all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 
@@ -40,20 +42,20 @@ class Inputs:
 
     Attributes:
         missing: why the first command has to wait, or "".
-        stop: why the session must end now, or "".
+        stop: why the session must end now, or None.
     """
 
     missing: str = ""
-    stop: str = ""
+    stop: Stop | None = None
 
 
 @dataclass(frozen=True)
 class PhaseState:
-    """The phase, its start time (ns), and why the session ends early ("" if it does not)."""
+    """The phase, its start time (ns), and why the session ends early (None if it does not)."""
 
     phase: Phase
     since: int
-    reason: str = ""
+    stop: Stop | None = None
 
     def elapsed(self, now: int) -> int:
         """Time since the phase began, ns."""
@@ -84,7 +86,7 @@ def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> 
         return PhaseState(Phase.RAMP, now)
     if inputs.missing and elapsed >= timing.wait:
         waited = f"waited for stream.wait = {timing.wait / 1e9:g} s"
-        return PhaseState(Phase.DONE, now, f"{inputs.missing} ({waited})")
+        return PhaseState(Phase.DONE, now, Stop("no_robot", f"{inputs.missing} ({waited})"))
     return state
 
 
@@ -166,14 +168,14 @@ class Schedule:
         """Extend RAMP at the first frame while it waits for `awaited`; "" ends the waiting."""
         elapsed = self.state.elapsed(now)
         longer = elapsed + self._period + COAST_NS - self._timing.ramp
-        if not awaited or self.state.reason or longer <= self._timing.awaited:
+        if not awaited or self.state.stop or longer <= self._timing.awaited:
             return
         if elapsed >= self._told + _TOLD_AGAIN:
             self._told = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
         self._timing = replace(self._timing, awaited=longer)
 
-    def go_down(self, now: int, reason: str, last: Target, *, stands: bool) -> bool:
+    def go_down(self, now: int, stop: Stop, last: Target, *, stands: bool) -> bool:
         """End with the way down, as soon as it is possible; False if there is none.
 
         Call it at every tick until the end. In RAMP, a robot can go down only if it `stands`. Then
@@ -181,21 +183,21 @@ class Schedule:
 
         Args:
             now: the time.
-            reason: why the session ends.
+            stop: why the session ends.
             last: the newest target.
             stands: whether the robot is already on its feet in RAMP.
         """
         state, way_down = self.state, self._targets.way_down
         phases = (Phase.RAMP, Phase.PLAY, Phase.HOLD) if stands else (Phase.PLAY, Phase.HOLD)
         if way_down is None or state.phase not in phases:
-            return bool(state.reason)
-        if not state.reason and way_down.possible(last):
+            return bool(state.stop)
+        if not state.stop and way_down.possible(last):
             play, elapsed = self._timing.play or 0, state.elapsed(now)
             if state.phase is not Phase.HOLD:
                 play, elapsed = elapsed if state.phase is Phase.PLAY else 0, 0
             hold = min(self._timing.hold, max(elapsed, COAST_NS))
             self._timing = replace(self._timing, play=play, hold=hold)
-            self.state = replace(state, reason=reason)
+            self.state = replace(state, stop=stop)
         return True
 
     def ramped(self, now: int) -> float:

@@ -22,7 +22,7 @@ from pydantic import (
 
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.types import FeedForwardKind, Phase, StreamSupport
+from g1stream.types import FeedForwardKind, Phase, StopKind, StreamSupport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -437,6 +437,8 @@ class StreamSummary(Record):
 
     Attributes:
         reason: why it ended early; empty if it ended as asked.
+        stop: kind of that reason; None if it ended as asked.
+        signal: number of the signal that ended it.
         start_s: requested start in the motion.
         slowed: factor by which the motion was slowed to keep the joints' speed limits, or 1.
         commands: number of LowCmds written.
@@ -479,6 +481,8 @@ class StreamSummary(Record):
     """
 
     reason: str | None = None
+    stop: StopKind | None = None
+    signal: Int | None = None
     start_s: float | None = None
     slowed: float | None = None
     commands: Int | None = None

@@ -133,7 +133,7 @@ def test_it_steps_to_where_the_motion_goes():
             stood.append((world.data.xpos[feet].copy(), yaw_of(world.data.xquat[feet]), turns))
 
     loop = play(world, stepping([goal, goal], period=1.2), "free", follow)
-    assert loop.report.reason == ""
+    assert loop.report.stop is None
     assert len(stood) == pytest.approx(500 * 4.8, abs=2)
     (first, turned, _), (last, turned_last, level) = stood[0], stood[-1]
     x, y, heading = goal
@@ -187,7 +187,7 @@ def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
             loop.request_stop("enough")
 
     loop = play(world, squatting(1.0), "free", stop)
-    assert loop.report.reason == "enough"
+    assert loop.report.stop.text == "enough"
     assert (heights[Phase.HOLD] < 0.65) == (requests == 1)
 
 
@@ -211,7 +211,7 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
             heights.append(float(world.data.qpos[2]))
 
     loop = play(world, squatting(0.5), None, lower)
-    assert loop.report.reason == ""
+    assert loop.report.stop is None
     assert loop.report.summary().robot == name
     assert waited[0] > 1.0  # it hung in the air
     assert len(heights) == 250
@@ -237,7 +237,7 @@ def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stand
             tilts.append(tilt_of(world.data.qpos[3:7]))
 
     loop = play(world, squatting(1.6), "free", shove)
-    assert (loop.report.reason == "") == stands
-    assert stands or "capture point" in loop.report.reason
+    assert (loop.report.stop is None) == stands
+    assert stands or "capture point" in loop.report.stop.text
     assert (loop.report.summary().balance.capture_margin_m > -0.01) == stands
     assert max(tilts) < 0.2

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
+from g1stream.control.stop import Stop
 from g1stream.control.targets import Target, Targets, Timing
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
@@ -87,14 +88,15 @@ def test_a_run_that_ends_while_ramp_waits_for_the_feet_squats_down(squats):
     for now in range(0, 600 * MS, 2 * MS):
         go(now, targets.first)
     assert schedule.state.phase is Phase.RAMP
+    asked = Stop("requested", "asked")
     before, phases = schedule.first, []
     for now in range(600 * MS, 4000 * MS, 2 * MS):
-        assert schedule.go_down(now, "asked", before, stands=now < 700 * MS)
+        assert schedule.go_down(now, asked, before, stands=now < 700 * MS)
         target = go(now, before)
         phases.append(schedule.state.phase)
         assert target.q == pytest.approx(before.q, abs=0.01)
         before = target
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.HOLD, Phase.DAMP, Phase.DONE]
     assert phases.count(Phase.RAMP) <= 101  # it waits no longer than it takes to end at rest
-    assert schedule.state.reason == "asked"
+    assert schedule.state.stop is asked
     assert before.root_pos[2] < schedule.first.root_pos[2] - 0.1

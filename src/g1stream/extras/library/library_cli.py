@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
 
 from g1stream.cli.command import (
     EXIT_OK,
+    EXIT_SIGNAL,
     EXIT_STOPPED,
     QuietFlag,
     SettingsCommand,
-    exit_code_of_signal,
     on_signals,
     print_lines,
     print_verdict,
@@ -148,8 +148,8 @@ class Library(SettingsCommand, QuietFlag):
         # Checked before the long computation.
         conditions = FailIf.parse_all(self.fail_if, CONDITION_NAMES)
         cases = self._cases()
-        run, reasons = LibraryRun(), list[str]()
-        with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
+        run, signals = LibraryRun(), list[int]()
+        with on_signals(signals.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
             run_library(
                 self.places,
                 cases,
@@ -159,7 +159,7 @@ class Library(SettingsCommand, QuietFlag):
                 limits=Limits(self.time_limit, self.memory_limit),
                 run=run,
                 on_row=_print_row if self.json else lambda row: None,
-                stop=lambda: bool(reasons),
+                stop=lambda: bool(signals),
                 warn=print_warning,
             )
         found = newest_motions(self.out) if run.done or run.known else None
@@ -174,8 +174,8 @@ class Library(SettingsCommand, QuietFlag):
             if one_failed or not one.default:
                 print_verdict(line, failed=one_failed, file=out)
         failed = any(one_failed for one_failed, _ in verdicts)
-        if reasons:
-            return exit_code_of_signal(reasons[0]) or EXIT_STOPPED
+        if signals:
+            return EXIT_SIGNAL + signals[0]
         return EXIT_STOPPED if failed or not run.complete else EXIT_OK
 
     def _check_flags(self) -> None:

@@ -108,6 +108,7 @@ def setting(
     example: Any = None,
     robot: Any = None,
     dangerous: bool = False,
+    needs: tuple[str, ...] = (),
     **limits: Any,
 ) -> Any:
     """Declare a setting as a field of a table.
@@ -125,10 +126,11 @@ def setting(
         robot: value with the profile `robot`, if it is not the default; docs/safety.md has the
             reasons.
         dangerous: any other value than the default is less careful.
+        needs: what the flag needs, as in `flag` of cli/flags.py.
         limits: `ge`, `gt`, `le`, `lt` and the other constraints of pydantic.
     """
     about: Any = {"unit": unit, "flag": flag, "advanced": advanced, "metavar": metavar}
-    about |= {"dangerous": dangerous, "robot": default if robot is None else robot}
+    about |= {"needs": needs, "dangerous": dangerous, "robot": default if robot is None else robot}
     examples = None if example is None else [example]
     return Field(
         default, description=description, examples=examples, json_schema_extra=about, **limits
@@ -283,6 +285,7 @@ class StreamConfig(Table):
         "s",
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
+        needs=("stream.policy", "config"),
         ge=0.5,
         le=3600.0,
     )
@@ -293,6 +296,7 @@ class StreamConfig(Table):
         "s",
         flag=PLAY_FLAG,
         advanced=True,
+        needs=("stream.policy", "config"),
         ge=0.0,
         le=60.0,
     )
@@ -391,6 +395,7 @@ class RecordConfig(Table):
         "at record.tf_rate; full: also joint states and their errors at every sample",
         flag=(*_RECORD, "demo"),
         advanced=True,
+        needs=("record",),
     )
     meshes: bool = setting(
         False,
@@ -398,6 +403,7 @@ class RecordConfig(Table):
         "primitive shapes (extra `meshes`)",
         flag=(*_RECORD, "demo"),
         advanced=True,
+        needs=("record",),
     )
     tf_rate: float = setting(
         100.0,
@@ -580,7 +586,11 @@ class SafetyConfig(Table):
         dangerous=True,
     )
     require_record: bool = setting(
-        False, "damp and end when the recording fails", flag=PLAY_FLAG, advanced=True
+        False,
+        "damp and end when the recording fails",
+        flag=PLAY_FLAG,
+        advanced=True,
+        needs=("record",),
     )
     urdf_limits: bool = setting(
         False,
@@ -659,6 +669,7 @@ class Config(Table):
         "port of the WebSocket server of --live",
         flag=LIVE_FLAG,
         advanced=True,
+        needs=("live",),
         ge=1,
         le=65535,
     )

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.app.arming import ArmingReport, LimbDistance
-from g1stream.cli.stream import arming, render_arming
+from g1stream.cli.stream import may_arm, render_arming
 from g1stream.config import WiderValue
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
@@ -33,15 +33,15 @@ def test_the_text_is_the_snapshot(report, matches_snapshot):
 
 
 def test_yes_names_the_interface(report, capsys):
-    assert arming(True, "eth9")(report)
+    assert may_arm(report, yes="eth9")
     assert "waist_yaw_joint" in capsys.readouterr().err
     with pytest.raises(ConfigError):
-        arming(True, "eth0")(report)
+        may_arm(report, yes="eth0")
 
 
 def test_what_a_terminal_obeys_is_escaped(report, capsys):
     hostile = warning("motion service", "mode \x1b[2J", "Look.")
-    arming(True, "eth9")(replace(report, motion_service=hostile))
+    may_arm(replace(report, motion_service=hostile), yes="eth9")
     printed = capsys.readouterr().err
     assert "\x1b" not in printed
     assert "\\x1b[2J" in printed
@@ -50,11 +50,5 @@ def test_what_a_terminal_obeys_is_escaped(report, capsys):
 def test_without_a_terminal_yes_is_needed(report, monkeypatch):
     monkeypatch.setattr("sys.stdin", type("Pipe", (), {"isatty": lambda _: False})())
     with pytest.raises(ConfigError) as caught:
-        arming(True, None)(report)
+        may_arm(report, yes=None)
     assert "--yes eth9" in caught.value.remedy
-
-
-def test_unarmed_asks_nothing():
-    assert arming(False, None) is None
-    with pytest.raises(ConfigError):
-        arming(False, "eth9")

@@ -1,5 +1,7 @@
+from contextlib import nullcontext
 from dataclasses import MISSING, dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -64,6 +66,10 @@ def test_flags_go_over_a_file_and_a_shipped_one_is_found_by_its_name(tmp_path):
         ("stream", ("--speed", "inf"), "--speed cannot be inf"),
         ("stream", ("--meshes",), "--meshes"),
         ("stream", ("--force",), "--force"),
+        ("stream", ("--yes", "eth9"), "--arm"),
+        ("stream", ("--require-record",), "--require-record"),
+        ("stream", ("--rehearse", "1"), "--policy"),
+        ("stream", ("--clamp", "--anyway"), "--anyway"),
         ("sim", ("--live-port", "9000"), "--live-port"),
         ("sim", ("--live-origin", "https://viewer.example"), "--live-origin"),
     ],
@@ -189,6 +195,40 @@ def test_the_whole_help_has_every_setting_with_its_table(capsys):
         if "stream" in (setting.json_schema_extra or {}).get("flag", ()):
             name = key.rpartition(".")[2]
             assert flag_name(f"no_{name}" if setting.default is True else name) in whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class Combined(Command):
+    """A command with flags that need or exclude others."""
+
+    action: Literal["show", "make"] = argument("What to do.", "ACTION")
+    files: tuple[str, ...] = argument("Files, the last one an output.", "FILE... OUT")
+    out: Path | None = flag(None, "Written.")
+    force: bool = flag(False, "Replace it.", needs=("out", "files=*.mcap"))
+    size: int = flag(1, "Made.", needs=("action=make", "absent"), excludes=("out",))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "refused"),
+    [
+        (["make", "a", "--size", "2"], None),
+        (["show", "a", "--size", "2"], "--size needs ACTION make."),
+        (["make", "a", "--force", "--out", "x"], None),
+        (["make", "a", "b.MCAP", "--force"], None),
+        (["make", "a.mcap", "b", "--force"], "--force needs --out or OUT *.mcap."),
+        (["make", "a", "--size=2", "--out=x"], "--size cannot be combined with --out."),
+    ],
+)
+def test_a_flag_needs_or_excludes_others(arguments, refused):
+    with pytest.raises(ConfigError) if refused else nullcontext() as caught:
+        parse_flags(Combined, "combined", "", arguments)
+    assert (caught.value.cause if refused else None) == refused
+
+
+def test_the_help_says_what_a_flag_needs(capsys):
+    text = helped(Combined, "combined", "--help", capsys=capsys)
+    assert "(needs --out or OUT *.mcap)" in text
+    assert "(needs ACTION make; default: 1)" in text
 
 
 def test_the_simulator_of_a_robot_on_its_feet_holds_nothing():

@@ -130,18 +130,8 @@ class LiveCommand(SettingsCommand, QuietFlag):
         "ORIGIN",
         shown="none",
         advanced=True,
+        needs=("live",),
     )
-
-    def resolve(self) -> Config:
-        """The settings from the config file, if any, overridden by the flags."""
-        unused = ["--live-port"] * ("live_port" in self.settings)
-        unused += ["--live-origin"] * bool(self.live_origin)
-        if unused and not self.live:
-            raise ConfigError(
-                f"The flag {unused[0]} has no effect without --live.",
-                "Add --live, or remove it.",
-            )
-        return super().resolve()
 
     @contextmanager
     def serving(self, config: Config) -> Iterator[None]:
@@ -176,10 +166,10 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
         print_note(f"{where}.")
 
 
-def yes_flag(*, advanced: bool = False) -> Any:
+def yes_flag(*needs: str, advanced: bool = False) -> Any:
     """The flag --yes of commands that ask before they move a robot."""
     text = "Confirm in advance, with the name of the interface in use."
-    return flag(None, text, "INTERFACE", advanced=advanced)
+    return flag(None, text, "INTERFACE", advanced=advanced, needs=needs)
 
 
 def confirmed(interface: str, yes: str | None) -> bool:

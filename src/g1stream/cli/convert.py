@@ -6,7 +6,7 @@ import re
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -17,7 +17,7 @@ from g1stream.cli.command import (
     print_lines,
     print_warning,
 )
-from g1stream.cli.flags import argument, flag, flag_name
+from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.cli.progress import showing_progress
 from g1stream.control.stop import Stop
@@ -34,11 +34,8 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 
-#: Flags that --ros2 and motion file outputs do not accept, except the motion's own flags.
-_OF_ROS2: Final = {"files", "ros2", "force", "json"}
-_OF_COPY: Final = {"files", "force", "json"}
-_OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
-_OF_FORMAT: Final = {"files", "to", "velocities", "frames", "urdf", "force", "json"}
+#: Flags of a session file.
+_OF_SESSION: Any = {"advanced": True, "needs": ("files=*.mcap",), "excludes": ("to", "ros2")}
 
 
 class _StoppedError(BaseException):
@@ -100,16 +97,21 @@ class Convert(MotionPartFlags, QuietFlag):
     )
     velocities: Velocities = flag(
         "spline",
-        "With --to: the velocities are derivatives of the streamed spline, or differences of "
+        "The velocities are derivatives of the streamed spline, or differences of "
         "the frames in the file.",
         advanced=True,
+        needs=("to",),
     )
-    ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
+    ros2: bool = flag(
+        False,
+        "Convert a session into a ROS 2 bag.",
+        excludes=("to", "frames", "resample", "urdf", *(f.name for f in fields(MotionPartFlags))),
+    )
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a time zone (2026-03-01T12:00:00Z).",
         "TIME",
-        advanced=True,
+        **_OF_SESSION,
     )
     frames: str = flag(
         ":",
@@ -124,22 +126,29 @@ class Convert(MotionPartFlags, QuietFlag):
         "HZ",
         shown="the file's frames",
         gt=0,
+        excludes=("to",),
     )
-    no_floating_root: bool = flag(False, "Fix the root link at the world's origin.", advanced=True)
+    no_floating_root: bool = flag(False, "Fix the root link at the world's origin.", **_OF_SESSION)
     flat: bool = flag(
-        False, "Make every link a child of the world instead of its parent link.", advanced=True
+        False, "Make every link a child of the world instead of its parent link.", **_OF_SESSION
     )
-    urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
+    urdf: Path | None = flag(
+        None,
+        "URDF of the robot.",
+        "FILE",
+        shown="the built-in 29-joint G1",
+        needs=("to", "files=*.mcap"),
+    )
     only: Literal["tf"] | None = flag(
         None,
         "Write the transforms alone: no joint states, scene, URDF or attached motion.",
         shown="all of them",
-        advanced=True,
+        **_OF_SESSION,
     )
     meshes: bool = flag(
         False,
         "Show the URDF's meshes, simplified, or the real G1's (extra `meshes`).",
-        advanced=True,
+        **_OF_SESSION,
     )
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
@@ -163,25 +172,13 @@ class Convert(MotionPartFlags, QuietFlag):
             )
         from g1stream.motion.motion import MOTION_SUFFIXES
 
-        of_motion = {f.name for f in fields(MotionPartFlags)}
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
-            self._require(_OF_ROS2, "--ros2, which does not change the session")
             if len(self.motions) > 1:
                 raise ConfigError(
                     "--ros2 converts exactly one session.", "Give one session and FILE."
                 )
-            if not is_session(session := Path(self.motions[0])):
-                raise ConfigError(
-                    f"--ros2 converts a session, and {session} is no session file.",
-                    "Give a session file, such as `g1stream convert MOTION OUT.mcap` writes.",
-                )
-        elif self.to:
-            self._require(_OF_FORMAT | of_motion, f"--to {self.to}")
-        elif self.velocities != Convert.velocities:
-            raise ConfigError("--velocities has no effect without --to.", "Add --to, or remove it.")
-        elif self.out.suffix.lower() in MOTION_SUFFIXES:
-            self._require(_OF_MOTION_FILE | of_motion, f"the output {self.out}, a motion file")
+        elif not self.to and self.out.suffix.lower() in MOTION_SUFFIXES:
             return self._motion_file()
         try:
             return self._convert()
@@ -189,17 +186,6 @@ class Convert(MotionPartFlags, QuietFlag):
             name = Stop.by_signal(stopped.number).text
             print(f"\nStopped by {name}; nothing was written.", file=sys.stderr)
             return EXIT_SIGNAL + stopped.number
-
-    def _require(self, flags: set[str], what: str) -> None:
-        if given := self._given(flags):
-            raise ConfigError(
-                f"{flag_name(given[0])} cannot be combined with {what}.", "Remove one of the two."
-            )
-
-    def _given(self, flags: set[str]) -> list[str]:
-        """The flags that were given, other than these."""
-        other = [f.name for f in fields(self) if f.name not in flags | {"quiet"}]
-        return [name for name in other if getattr(self, name) != getattr(type(self), name)]
 
     def _motion(self, robot: G1 | None = None) -> Motion:
         """The joined motions, cut to the frames of --frames."""
@@ -249,7 +235,8 @@ class Convert(MotionPartFlags, QuietFlag):
     def _copies(self) -> bool:
         """Whether the only input is a session of ours, and nothing is asked of its motion."""
         session = Path(self.motions[0])
-        plain = self.out.suffix.lower() == ".mcap" and not self._given(_OF_COPY)
+        same = Convert(files=self.files, force=self.force, json=self.json, quiet=self.quiet)
+        plain = self.out.suffix.lower() == ".mcap" and self == same
         if not (plain and len(self.motions) == 1 and is_session(session)):
             return False
         from g1stream.session.motions import is_of_g1stream

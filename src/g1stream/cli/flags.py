@@ -12,6 +12,7 @@ import textwrap
 from argparse import SUPPRESS, ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import MISSING, Field, dataclass, field, fields
 from difflib import get_close_matches
+from fnmatch import fnmatch
 from operator import getitem
 from pathlib import Path
 from types import UnionType
@@ -60,6 +61,8 @@ class _Option:
     aliases: tuple[str, ...] = ()
     switches_off: bool = False
     advanced: bool = False
+    needs: tuple[str, ...] = ()
+    excludes: tuple[str, ...] = ()
 
 
 def flag(
@@ -72,12 +75,18 @@ def flag(
     gt: float | None = None,
     aliases: tuple[str, ...] = (),
     advanced: bool = False,
+    needs: tuple[str, ...] = (),
+    excludes: tuple[str, ...] = (),
 ) -> Any:
     """A flag of a command, as a field of its dataclass. The default MISSING makes it required.
 
     `metavar` stands for the value in the help, and `shown` for the default. A `positional` flag is
     given without its name. The value must be greater than `gt`. `aliases` are names such as `-o`.
     Only --help-all shows an `advanced` flag.
+
+    The flag is refused with one of `excludes`, and unless it finds one of `needs`: a flag or a
+    setting by its key, or KEY=PATTERN for the value of an argument, of several the last. A command
+    without KEY does not need it. What a flag needs is declared before the flag.
     """
     required = default is MISSING
     if not shown and default not in (None, False, MISSING):
@@ -91,6 +100,8 @@ def flag(
         positional=positional,
         aliases=aliases,
         advanced=advanced,
+        needs=needs,
+        excludes=excludes,
     )
     return field(default=default, metadata={"option": option})
 
@@ -118,7 +129,7 @@ def parse_flags(
 
     Raises:
         ConfigError: a flag or an argument is unknown or missing, or a flag does not accept its
-            value.
+            value, lacks what it needs, or excludes another one.
     """
     parser, settings, hints = _parser_of(kind, name, purpose, everything="--help-all" in arguments)
     given = parser.parse(arguments)
@@ -177,6 +188,7 @@ class _Parser(ArgumentParser):
             argument_default=SUPPRESS,
         )
         self._command, self._everything = command, everything
+        self._options: dict[str, _Option] = {}
         self._known = ["-h", "--help", "--help-all"]
         self._advanced = 0
         self._usage = [f"g1stream {command} [-h] [OPTIONS]"]
@@ -188,20 +200,22 @@ class _Parser(ArgumentParser):
 
         Only a positional argument needs the default here, because argparse cannot leave it unset.
         """
-        note = f" ({option.note})" if option.note else ""
-        about: dict[str, Any] = {"help": f"{option.text}{note}".replace("%", "%%")}
+        self._options[key] = option
+        needs = self._needs(key)
+        notes = "; ".join(filter(None, (needs and f"needs {needs}", option.note)))
+        text = f"{option.text} ({notes})" if notes else option.text
+        about: dict[str, Any] = {"help": text.replace("%", "%%")}
         self._advanced += option.advanced
         if option.advanced and not self._everything:
             about["help"] = SUPPRESS
-        name = key.rpartition(".")[2]
-        names = [flag_name(f"no_{name}" if option.switches_off else name), *option.aliases]
+        names = [self._shown(key), *option.aliases]
         if kind is bool:
             about["action"] = "store_false" if option.switches_off else "store_true"
         else:
             choices = _choices(kind)
             metavar = f"{{{','.join(choices)}}}" if choices else option.metavar or _metavar(kind)
             about["metavar"] = metavar
-            shown = option.metavar if option.positional else f"The flag {names[0]}"
+            shown = names[0] if option.positional else f"The flag {names[0]}"
             about["type"] = self._reader(shown, kind, option.limits)
             about["action"] = "append" if get_origin(kind) is list else "store"
             if get_origin(kind) is tuple:
@@ -262,6 +276,36 @@ class _Parser(ArgumentParser):
             more = ", and the TOML table of each setting" if tables else ""
             self.add_argument("--help-all", action="help", help=f"Show {which}{more}.")
 
+    def _shown(self, key: str) -> str:
+        """The flag or argument as the user writes it."""
+        option, name = self._options[key], key.rpartition(".")[2]
+        if option.positional:
+            return option.metavar
+        return flag_name(f"no_{name}" if option.switches_off else name)
+
+    def _needs(self, key: str) -> str:
+        """What a flag needs, as the user writes it; empty if nothing."""
+        needs = [need.partition("=") for need in self._options[key].needs]
+        shown = [(self._shown(key), value) for key, _, value in needs if key in self._options]
+        return " or ".join(f"{name.split()[-1]} {value}".rstrip() for name, value in shown)
+
+    def _check(self, given: dict[str, Any]) -> None:
+        """Refuse a flag without what it needs, or with one that it excludes."""
+
+        def is_given(need: str) -> bool:
+            key, _, pattern = need.partition("=")
+            value = given.get(key)
+            last = value[-1] if isinstance(value, list) else value
+            return key in given and fnmatch(str(last).lower(), pattern or "*")
+
+        for key in given:
+            shown, needs = self._shown(key), self._needs(key)
+            if needs and not any(map(is_given, self._options[key].needs)):
+                raise ConfigError(f"{shown} needs {needs}.", f"Give {needs}, or remove {shown}.")
+            for other in filter(given.__contains__, self._options[key].excludes):
+                both = f"{shown} cannot be combined with {self._shown(other)}."
+                raise ConfigError(both, "Remove one of them.")
+
     def parse(self, arguments: Sequence[str]) -> dict[str, Any]:
         """The values that were given, by the key of `add_flag`."""
         end = arguments.index("--") if "--" in arguments else len(arguments)
@@ -284,7 +328,9 @@ class _Parser(ArgumentParser):
                 f"g1stream {self._command} has no use for the argument {extra[0]}.",
                 f"Remove it; {self._see_help()}",
             )
-        return vars(namespace)
+        given = {key: value for key, value in vars(namespace).items() if value not in (None, ())}
+        self._check(given)
+        return given
 
     def error(self, message: str) -> NoReturn:
         """Raise a ConfigError for argparse's error, such as a missing value."""
@@ -325,6 +371,7 @@ def _option_of(setting: FieldInfo, shown: str) -> _Option:
         limits=tuple(setting.metadata),
         switches_off=default is True,
         advanced=about["advanced"],
+        needs=about["needs"],
     )
 
 

@@ -6,6 +6,7 @@ import sys
 import textwrap
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -22,18 +23,16 @@ from g1stream.cli.command import (
     yes_flag,
 )
 from g1stream.cli.doctor import render as render_findings
-from g1stream.cli.flags import argument, flag, flag_name
+from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.control.stop import Stop
-from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from g1stream.app.arming import ArmingReport
-    from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
@@ -41,18 +40,10 @@ if TYPE_CHECKING:
 _WIDTH: Final = 98
 
 
-def arming(arm: bool, yes: str | None) -> Callable[[ArmingReport], bool] | None:
-    """The `arm` callback of `stream`: it prints the report and asks. None without --arm."""
-    if not arm:
-        if yes is not None:
-            raise ConfigError("The flag --yes has no effect without --arm.", "Add --arm.")
-        return None
-
-    def ask(report: ArmingReport) -> bool:
-        print_lines(render_arming(report), sys.stderr)
-        return confirmed(report.interface, yes)
-
-    return ask
+def may_arm(report: ArmingReport, *, yes: str | None) -> bool:
+    """Print the report, and ask whether to command the robot, unless `yes` names the interface."""
+    print_lines(render_arming(report), sys.stderr)
+    return confirmed(report.interface, yes)
 
 
 def render_arming(report: ArmingReport) -> str:
@@ -141,7 +132,7 @@ class Stream(LiveCommand, MotionFlags):
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")
-    force: bool = flag(False, "Replace an existing recording.")
+    force: bool = flag(False, "Replace an existing recording.", needs=("record",))
     gains: Path | None = flag(
         None,
         "File with tables [kp] and [kd]: joint name or pattern = gain. Overrides the config.",
@@ -153,16 +144,18 @@ class Stream(LiveCommand, MotionFlags):
         False,
         "Show what will be sent to which robot, and ask first. Required on anything but loopback.",
     )
-    yes: str | None = yes_flag(advanced=True)
+    yes: str | None = yes_flag("arm", advanced=True)
     scale_time: bool = flag(
         False,
         "Slow down the whole motion until all joints keep their speed limits.",
         advanced=True,
+        excludes=("clamp", "anyway"),
     )
     clamp: bool = flag(
         False,
         "Play a motion that exceeds joint limits, with targets clamped to positions and speeds.",
         advanced=True,
+        excludes=("anyway",),
     )
     anyway: bool = flag(
         False,
@@ -172,29 +165,6 @@ class Stream(LiveCommand, MotionFlags):
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
-    def resolve(self) -> Config:
-        """The settings from the config file, if any, overridden by the flags."""
-        if self.record is None:
-            for_recording = [
-                name
-                for name in self.overrides()
-                if name.startswith("record.") or name == "safety.require_record"
-            ]
-            for key in [*for_recording, *(["force"] if self.force else [])]:
-                flag = flag_name(key.rpartition(".")[2])
-                raise ConfigError(
-                    f"The flag {flag} has no effect without --record.",
-                    "Add --record FILE, or remove it.",
-                )
-        config = super().resolve()
-        for key in ("stream.stand", "stream.rehearse"):
-            if key in self.overrides() and not config.stream.policy:
-                raise ConfigError(
-                    f"The flag {flag_name(key.rpartition('.')[2])} has no effect without --policy.",
-                    "Add --policy FILE, or remove it.",
-                )
-        return config
-
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, and the tables of the gains file."""
         over = super().overrides()
@@ -202,14 +172,9 @@ class Stream(LiveCommand, MotionFlags):
             from g1stream.control.gains import read_gains
 
             over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}
-        asked = [n for n in ("scale_time", "clamp", "anyway") if getattr(self, n)]
-        if len(asked) > 1:
-            raise ConfigError(
-                f"The flags {' and '.join(map(flag_name, asked))} cannot be combined.",
-                "Give only one of them.",
-            )
-        if asked:
-            over["stream.beyond_limits"] = asked[0].replace("_", "-")
+        for name in ("scale_time", "clamp", "anyway"):
+            if getattr(self, name):
+                over["stream.beyond_limits"] = name.replace("_", "-")
         return over
 
     def run(self) -> int:
@@ -227,7 +192,7 @@ class Stream(LiveCommand, MotionFlags):
                 config,
                 record=self.record,
                 force=self.force,
-                arm=arming(self.arm, self.yes),
+                arm=partial(may_arm, yes=self.yes) if self.arm else None,
                 on_loop=lambda loop: prepare(loop, motion),
             )
         print_summary(summary, as_json=self.json)

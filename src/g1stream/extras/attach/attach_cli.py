@@ -10,7 +10,6 @@ from g1stream.cli.command import EXIT_OK, QuietFlag, print_json, print_lines, pr
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTION, MotionPartFlags
 from g1stream.cli.progress import showing_progress
-from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from g1stream.session.records import AttachedInfo
@@ -45,7 +44,7 @@ class Attach(MotionPartFlags, QuietFlag):
     reference: str = argument(MOTION, "MOTION")
     out: Path | None = flag(None, "The session to write.", "OUT.mcap", aliases=("-o",))
     play: int = flag(1, "Which playback to use, if the motion was played several times.", "N", gt=0)
-    force: bool = flag(False, "Replace an existing file.")
+    force: bool = flag(False, "Replace an existing file.", needs=("out",))
     json: bool = flag(False, "Print the result as JSON.")
 
     def run(self) -> int:
@@ -57,10 +56,6 @@ class Attach(MotionPartFlags, QuietFlag):
         if self.out is not None:
             check_suffix(self.out, "a session", ".mcap")
             check_output_path(self.out, force=self.force)
-        if self.force and self.out is None:
-            raise ConfigError(
-                "The flag --force has no effect without --out.", "Add --out OUT.mcap."
-            )
         session = open_session(self.session)
         motion = self.load([self.reference])
         print_warning(*motion.warnings)

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Library", "swept"]
 
+#: What some flags need.
+_SIMULATE: Final = ("action=simulate",)
 #: Number of failed motions that are listed.
 _NAMED: Final = 5
 #: Time between progress lines without a terminal, s.
@@ -81,35 +83,39 @@ class Library(SettingsCommand, QuietFlag):
 
     action: Literal["check", "simulate", "convert"] = argument(
         "check limits and physics of the motions, simulate a robot that plays them, or convert "
-        "their files. Flags that begin with an action only apply to that action.",
+        "their files.",
         "ACTION",
     )
     places: tuple[str, ...] = argument("Directories, and motion files.", "PATH...")
     out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
     support: str | None = flag(
         None,
-        f"simulate: how the pelvis is held: {', '.join(get_args(StreamSupport))}; several with "
-        "commas.",
+        f"How the pelvis is held: {', '.join(get_args(StreamSupport))}; several with commas.",
         "SUPPORT",
         shown="bolted",
+        needs=_SIMULATE,
     )
     sweep: list[str] = flag(
         (),
-        "simulate: run with each value of a setting, such as stream.rate=250,500. Values of "
+        "Run with each value of a setting, such as stream.rate=250,500. Values of "
         "gains.kp and gains.kd are factors of the gains. May be repeated, for all combinations.",
         "NAME=A,B",
         shown="none",
+        needs=_SIMULATE,
     )
     policy: list[str] = flag(
         (),
-        "simulate: ONNX file of a learned policy that plays on free feet (extra `policy`). May be "
+        "ONNX file of a learned policy that plays on free feet (extra `policy`). May be "
         "repeated, to run with each.",
         "FILE",
         shown="none",
+        needs=_SIMULATE,
     )
-    sessions: bool = flag(False, "simulate: keep each session and its report.")
+    sessions: bool = flag(False, "Keep each session and its report.", needs=_SIMULATE)
     to: Literal["npz", "csv", "mcap", MotionFormat] = flag(
-        "npz", "convert: format of the files; beyondmimic and others are for other programs."
+        "npz",
+        "Format of the files; beyondmimic and others are for other programs.",
+        needs=("action=convert",),
     )
     workers: int | None = flag(
         None, "Processes on this machine.", "N", shown="CPUs", gt=0, advanced=True
@@ -119,12 +125,14 @@ class Library(SettingsCommand, QuietFlag):
         "Use the workers of this Dask scheduler instead.",
         "ADDRESS",
         advanced=True,
+        excludes=("workers",),
     )
     cluster_insecure: bool = flag(
         False,
         "Use a scheduler on another machine without TLS: whoever can answer in its place runs "
         "code here and on the workers.",
         advanced=True,
+        needs=("cluster",),
     )
     time_limit: float = flag(600.0, "Time for a motion.", "SECONDS", gt=0, advanced=True)
     memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0, advanced=True)
@@ -144,7 +152,6 @@ class Library(SettingsCommand, QuietFlag):
         from g1stream.extras.library.workers import Limits
         from g1stream.extras.report.fail_if import FailIf
 
-        self._check_flags()
         # Checked before the long computation.
         conditions = FailIf.parse_all(self.fail_if, CONDITION_NAMES)
         cases = self._cases()
@@ -177,20 +184,6 @@ class Library(SettingsCommand, QuietFlag):
         if signals:
             return EXIT_SIGNAL + signals[0]
         return EXIT_STOPPED if failed or not run.complete else EXIT_OK
-
-    def _check_flags(self) -> None:
-        only = {
-            "--support": (self.support, "simulate"),
-            "--sweep": (self.sweep, "simulate"),
-            "--policy": (self.policy, "simulate"),
-            "--sessions": (self.sessions, "simulate"),
-            "--to": (self.to != "npz", "convert"),
-        }
-        for name, (given, action) in only.items():
-            if given and self.action != action:
-                raise ConfigError(f"{name} has no effect on library {self.action}.", "Remove it.")
-        if self.workers and self.cluster:
-            raise ConfigError("--workers and --cluster cannot be combined.", "Remove one of them.")
 
     def _cases(self) -> list[LibraryCase]:
         from g1stream.extras.library.compute import LibraryCase

@@ -40,30 +40,28 @@ class Robot(SettingsCommand):
     """
 
     action: Action = argument("What to do.", "ACTION")
-    mode: str | None = flag(None, "Mode to restore, such as ai.", "MODE", positional=True)
+    mode: str | None = flag(
+        None,
+        "Mode to restore, such as ai.",
+        "MODE",
+        positional=True,
+        needs=("action=restore",),
+    )
     timeout: float = flag(5.0, "Longest wait for an answer, including discovery.", "SECONDS", gt=0)
-    yes: str | None = yes_flag()
-    json: bool = flag(False, "Print the status as JSON on standard output.")
+    yes: str | None = yes_flag("action=release", "action=restore")
+    json: bool = flag(
+        False, "Print the status as JSON on standard output.", needs=("action=status",)
+    )
 
     def run(self) -> int:
         """Do the action, and return the exit code."""
         config = self.resolve()
-        self._check_flags()
+        if self.action == "restore" and not self.mode:
+            raise ConfigError("The mode to restore is missing.", "Give one, such as ai.")
         with handled_by(ConsoleHandler()):
             if self.action == "status":
                 return self._status(config)
             return self._change(config)
-
-    def _check_flags(self) -> None:
-        unused = {
-            "MODE": self.mode and self.action != "restore",
-            "--json": self.json and self.action != "status",
-            "--yes": self.yes and self.action == "status",
-        }
-        for name in filter(unused.get, unused):
-            raise ConfigError(f"{name} has no effect on robot {self.action}.", "Remove it.")
-        if self.action == "restore" and not self.mode:
-            raise ConfigError("The mode to restore is missing.", "Give one, such as ai.")
 
     def _status(self, config: Config) -> int:
         from g1stream.extras.onboard.motion_service import onboard_status

@@ -43,7 +43,7 @@ class Policy(Command):
     file: str | None = flag(
         None, "ONNX file of the policy; default: the recorded one.", "FILE", positional=True
     )
-    motion: str | None = flag(None, "Motion to track.", "MOTION")
+    motion: str | None = flag(None, "Motion to track.", "MOTION", excludes=("replay",))
     replay: str | None = flag(None, "Session whose observations the policy gets.", "SESSION")
     json: bool = flag(False, "Print the result as JSON.")
 
@@ -61,8 +61,6 @@ class Policy(Command):
         from g1stream.app.session import open_session
         from g1stream.extras.policy.replay import replay_policy
 
-        if self.motion:
-            raise ConfigError("--motion cannot be combined with --replay.", "Remove one of them.")
         found = replay_policy(open_session(path), self.file)
         if self.json:
             print_json(found.model_dump(mode="json") | {"same": found.same})

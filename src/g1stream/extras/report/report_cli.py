@@ -34,18 +34,15 @@ class Report(SessionFlags, QuietFlag):
     sessions: tuple[Path, ...] = argument("Session files.", "SESSION...")
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
     force: bool = flag(False, "Replace an existing file.")
-    json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
-    csv: bool = flag(False, "Print the metrics as CSV; no page.")
+    json: bool = flag(
+        False, "Print summary, metrics, physics as JSON; no page.", excludes=("csv", "out")
+    )
+    csv: bool = flag(False, "Print the metrics as CSV; no page.", excludes=("out",))
 
     def run(self) -> int:
         """Write the page or print the numbers, and return the exit code."""
-        from g1stream.errors import ConfigError
         from g1stream.extras.report.page import numbers, report, to_csv
 
-        if self.json + self.csv + bool(self.out) > 1:
-            raise ConfigError(
-                "Only one of --json, --csv and --out can be given.", "Choose one of them."
-            )
         sessions = map(self.open, self.sessions)  # one at a time, because each may be large
         if self.csv:
             print(to_csv(sessions), end="")

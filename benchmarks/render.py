@@ -22,8 +22,8 @@ import numpy as np
 
 import g1stream
 from g1stream.cli.render import parse_size
+from g1stream.extras.meshes.meshes import with_shapes
 from g1stream.extras.video import render, scene
-from g1stream.robot.shapes import with_shapes
 
 FRAMES = 10
 

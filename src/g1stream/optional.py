@@ -33,6 +33,7 @@ EXTENSIONS: Final = {
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
     "write_motion": "g1stream.extras.formats.write:write_motion",
+    "scene_meshes": "g1stream.extras.meshes.scene:SceneMeshes",
     "render": "g1stream.extras.video.render:render",
 }
 """Functions, classes and tables of extras that the core calls, as `module:name`."""

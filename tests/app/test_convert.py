@@ -19,7 +19,6 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import real_g1
 from g1stream.session.format import metadata_from_strings
 from written_sessions import stock_reader
 
@@ -167,18 +166,6 @@ def test_the_transforms_alone(motion, out, tmp_path):
     assert {*alone} == {"/tf"}
     assert [m.data for m, _ in alone["/tf"]] == [m.data for m, _ in all_of_it["/tf"]]
     assert not list(stock_reader(out).iter_attachments())
-
-
-@pytest.mark.slow
-def test_meshes_are_triangles_of_the_real_robot_in_the_scene(motion, out):
-    if real_g1() is None:
-        pytest.skip("needs the extra `meshes`")
-    report = convert(motion, out, Conversion(meshes=True, frames=(0, 2)))
-    ((_, scene),) = read(out)["/scene"]
-    assert {entity.frame_id for entity in scene.entities} < set(G1.default().link_names)
-    assert sum(len(one.indices) for entity in scene.entities for one in entity.triangles) > 3 * 40e3
-    assert not any(entity.cubes or entity.models for entity in scene.entities)
-    assert report.size < 2e6
 
 
 def test_urdf_and_motion_are_attached(out):

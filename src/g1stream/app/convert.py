@@ -17,7 +17,6 @@ from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.input_limits import LATEST_NS
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import missing_meshes, robot_with_meshes
 from g1stream.session.format import encode_string
 from g1stream.session.records import MotionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
@@ -26,7 +25,7 @@ from g1stream.view.encoders import (
     JointStatesTemplate,
     TransformsEncoder,
 )
-from g1stream.view.scene import draw_meshes, encode_scene
+from g1stream.view.scene import encode_scene, meshes_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -153,11 +152,12 @@ def convert(
     fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
     check_not_input(out, motion.source, Path(robot.source))
+    meshes = None if options.only_tf else meshes_of(robot, simplified=options.meshes)
     with (
         complete_file(out, force=options.force) as temporary,
         SessionWriter(temporary) as writer,
     ):
-        _write_file_header(writer, motion, robot, options, first)
+        _write_file_header(writer, motion, robot, options, first, meshes)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
             root = (root_pos, root_quat) if options.floating_root else IDENTITY_POSE
             poses = transforms.encode(times, joint_pos, *root)
@@ -168,10 +168,10 @@ def convert(
             writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
     warnings = motion.warnings
-    if missing := missing_meshes(robot):
+    if meshes and meshes.missing:
         warnings += (
-            f"{robot.source}: meshes not found: {len(missing)}, such as {missing[0]}; the scene "
-            "has only their names.",
+            f"{robot.source}: meshes not found: {len(meshes.missing)}, such as "
+            f"{meshes.missing[0]}; the scene has only their names.",
         )
     return ConvertReport(
         path=out,
@@ -225,7 +225,7 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
 
 
 def _write_file_header(
-    writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int
+    writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int, meshes: Any
 ) -> None:
     """Write the file's metadata, attachments, scene and URDF."""
     writer.add_metadata(_metadata(motion, robot, options))
@@ -233,12 +233,7 @@ def _write_file_header(
         return
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, MotionInfo.from_motion(motion), first)
-    if options.meshes:
-        shown = robot_with_meshes(robot)
-        scene = encode_scene(first, shown, drawn=draw_meshes(shown))
-    else:
-        scene = encode_scene(first, robot)
-    writer.write(_SCENE, scene, first, first)
+    writer.write(_SCENE, encode_scene(first, robot, meshes), first, first)
     writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
 
 

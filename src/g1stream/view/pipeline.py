@@ -23,7 +23,6 @@ from g1stream.dds.messages import (
 )
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
-from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import POLICY_FIELDS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.session.streams import MAX_GAP_NS, delays_of_steps, neighbours
@@ -36,7 +35,7 @@ from g1stream.view.encoders import (
     TransformsEncoder,
 )
 from g1stream.view.measured_base import MeasuredBase
-from g1stream.view.scene import PathEncoder, draw_meshes, encode_scene
+from g1stream.view.scene import PathEncoder, encode_scene, meshes_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,8 +95,7 @@ class MessagePipeline:
                 "Remove --meshes, or record with --channels standard.",
             )
         self._robot = robot
-        self._shown = robot_with_meshes(robot) if settings.meshes else robot
-        self._meshes = draw_meshes(self._shown) if settings.meshes else {}
+        self._meshes = None if raw else meshes_of(robot, simplified=settings.meshes)
         self.base = None if raw else MeasuredBase()
         self._encoders = _encoders(robot, self.base, settings, policy) if self.base else ()
 
@@ -112,7 +110,7 @@ class MessagePipeline:
         """
         if self.base is None:
             return []
-        scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
+        scene = partial(encode_scene, time_ns, self._robot, self._meshes)
         payloads = {
             "/measured/scene": scene(MEASURED_PREFIX),
             "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT, ghost=True),

@@ -2,127 +2,97 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from g1stream.errors import RobotError
-from g1stream.files import read_file
-from g1stream.input_limits import MESHES
-from g1stream.robot.shapes import Mesh, decimate, find_mesh, ghost_size, read_stl, read_visuals
+from g1stream.optional import extension
+from g1stream.robot.shapes import ghost_size, read_visuals
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import WORLD_FRAME
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
-    from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
     from g1stream.robot.model import G1
     from g1stream.robot.shapes import Visual
 
-__all__ = [
-    "PathEncoder",
-    "Rgba",
-    "Shape",
-    "draw_meshes",
-    "encode_scene",
-    "load_mesh",
-]
+__all__ = ["PathEncoder", "Rgba", "encode_scene", "meshes_of"]
 
 Rgba = tuple[float, float, float, float]
 
-_MEDIA_TYPES: Final = {
-    ".stl": "model/stl",
-    ".dae": "model/vnd.collada+xml",
-    ".obj": "model/obj",
-    ".glb": "model/gltf-binary",
-}
-#: Resolution of the points of a mesh, 0.12 mm; a power of two, so that most of their bits are zero.
-_POINTS_PER_M: Final = 2.0**13
 
+def meshes_of(robot: G1, *, simplified: bool) -> Any:
+    """The meshes of a robot for `encode_scene`; None if its URDF has none.
 
-class Shape(NamedTuple):
-    """A mesh of a URDF with its name and its scale (3,)."""
-
-    mesh: str
-    scale: tuple[float, ...]
-
-
-def draw_meshes(robot: G1) -> dict[Shape, Mesh]:
-    """Read the STL meshes of a robot for `encode_scene`, decimated, and scaled to m.
-
-    Triangles look the same in all viewers. Viewers differ in the up axis and the tint of mesh
-    files.
+    With `simplified` they are triangles, and those of the real G1 if the URDF has none.
 
     Raises:
-        RobotError: a mesh cannot be read.
-        ConfigError: the extra `meshes` is not installed.
+        ConfigError: the extra `meshes` is needed and not installed.
+        RobotError: a mesh cannot be read or is too large, or the real G1 has other links.
     """
-    visuals = (visual for visual in read_visuals(robot) if visual.kind == "mesh")
-    shapes = {Shape(visual.mesh, visual.size) for visual in visuals}
-    files = {name: find_mesh(robot, name) for name, _ in shapes}
-    meshes = {
-        name: decimate(read_stl(path))
-        for name, path in files.items()
-        if path and path.suffix.lower() == ".stl"
-    }
-    return {
-        shape: meshes[shape.mesh].scaled(shape.scale) for shape in shapes if shape.mesh in meshes
-    }
+    if simplified or any(visual.mesh for visual in read_visuals(robot)):
+        return extension("scene_meshes")(robot, simplified=simplified)
+    return None
 
 
 def encode_scene(
     timestamp_ns: int,
     robot: G1,
+    meshes: Any,
     prefix: str = "",
     tint: Rgba | None = None,
-    drawn: Mapping[Shape, Mesh] = MappingProxyType({}),
     *,
     ghost: bool = False,
 ) -> bytes:
     """Encode the shapes of a robot as foxglove.SceneUpdate, locked to the frames of its links.
 
-    Meshes that are not in `drawn` are embedded completely if their files are found and have the
-    suffix of a mesh. Others are referenced by name, so that a URDF cannot bring another file into a
-    session.
-
     Args:
         timestamp_ns: ns since the epoch.
         robot: the robot.
+        meshes: what `meshes_of` returned for it.
         prefix: prefix of the frames of its links.
         tint: red, green, blue and opacity of all shapes, 0 to 1; None: the URDF's colours.
-        drawn: the robot's meshes from `draw_meshes`.
         ghost: whether it is drawn over the robot; then its shapes are smaller, except meshes that
-            are not in `drawn`.
+            are not simplified.
 
     Raises:
-        RobotError: the URDF has a shape that cannot be read, or its meshes are too large.
+        RobotError: the URDF has a shape that cannot be read.
     """
     update = SceneUpdate()
-    visuals = read_visuals(robot)
-    others = {v.mesh for v in visuals if v.mesh and Shape(v.mesh, v.size) not in drawn}
-    models = {name: load_mesh(robot, name) for name in others}
-    size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
-    if size > MESHES:
-        raise RobotError(
-            f"The meshes of {robot.source} have {size / 2**20:.0f} MiB.",
-            f"Use simpler ones, with at most {MESHES / 2**20:.0f} MiB, or move them away, so that "
-            "they are referenced by name only.",
-        )
     entities: dict[str, SceneEntity] = {}
-    for visual in visuals:
+    for visual in read_visuals(meshes.robot if meshes else robot):
         frame = prefix + visual.link
         if frame not in entities:
             entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
             entities[frame].timestamp.FromNanoseconds(timestamp_ns)
-        _add(entities[frame], visual, tint, drawn, models, ghost=ghost)
+        entity = entities[frame]
+        if visual.kind == "mesh":
+            shape = meshes.add(entity, visual, tinted=tint is not None, ghost=ghost)
+        else:
+            shape = _add_primitive(entity, visual, ghost=ghost)
+        pose, colour = shape.pose, shape.color
+        pose.position.x, pose.position.y, pose.position.z = visual.pos
+        q = pose.orientation
+        q.w, q.x, q.y, q.z = visual.quat_wxyz
+        colour.r, colour.g, colour.b, colour.a = tint or visual.rgba
     data: bytes = update.SerializeToString()
     return data
+
+
+def _add_primitive(entity: SceneEntity, visual: Visual, *, ghost: bool) -> Any:
+    """Add a box, a sphere or a cylinder to the entity of its link, without pose and colour."""
+    if visual.kind == "box":
+        shape: Any = entity.cubes.add()
+    elif visual.kind == "sphere":
+        shape = entity.spheres.add()
+    else:
+        shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+    size = ghost_size(visual.size) if ghost else visual.size
+    shape.size.x, shape.size.y, shape.size.z = size
+    return shape
 
 
 class PathEncoder:
@@ -166,71 +136,3 @@ class PathEncoder:
             line.points.add(x=x, y=y, z=z)
         data: bytes = update.SerializeToString()
         return data
-
-
-def load_mesh(robot: G1, name: str) -> dict[str, Any]:
-    """Load a mesh as fields of foxglove.ModelPrimitive.
-
-    Returns:
-        `data` and `media_type` if its file is found, otherwise `url`, its name, which the viewer
-        resolves.
-
-    Raises:
-        RobotError: the file exists but cannot be read.
-    """
-    path = find_mesh(robot, name)
-    media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
-    if path is None or media_type is None:
-        return {"url": name}
-    try:
-        return {"data": read_file(path, MESHES), "media_type": media_type}
-    except OSError as error:
-        raise RobotError(
-            f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
-            "Make it readable, or move it away, so that it is referenced by name only.",
-        ) from error
-
-
-def _add(
-    entity: SceneEntity,
-    visual: Visual,
-    tint: Rgba | None,
-    drawn: Mapping[Shape, Mesh],
-    models: Mapping[str, Mapping[str, Any]],
-    *,
-    ghost: bool,
-) -> None:
-    """Add a shape to the entity of its link."""
-    mesh = drawn.get(Shape(visual.mesh, visual.size))
-    size = visual.size
-    if mesh is not None:
-        shape: Any = _add_triangles(entity, mesh.of_ghost() if ghost else mesh)
-    elif visual.kind == "box":
-        shape = entity.cubes.add()
-    elif visual.kind == "sphere":
-        shape = entity.spheres.add()
-    elif visual.kind == "cylinder":
-        shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
-    else:
-        # Viewers tint a mesh only if its colours are overridden.
-        override = visual.coloured or tint is not None
-        shape = entity.models.add(override_color=override, **models[visual.mesh])
-    if mesh is None:
-        extent = shape.scale if visual.kind == "mesh" else shape.size
-        if ghost and visual.kind != "mesh":
-            size = ghost_size(size)
-        extent.x, extent.y, extent.z = size
-    pose, colour = shape.pose, shape.color
-    pose.position.x, pose.position.y, pose.position.z = visual.pos
-    q = pose.orientation
-    q.w, q.x, q.y, q.z = visual.quat_wxyz
-    colour.r, colour.g, colour.b, colour.a = tint or visual.rgba
-
-
-def _add_triangles(entity: SceneEntity, mesh: Mesh) -> TriangleListPrimitive:
-    """Add a mesh with rounded points, which compress better."""
-    added: TriangleListPrimitive = entity.triangles.add(indices=mesh.triangles.ravel().tolist())
-    points = np.round(np.float64(mesh.points) * _POINTS_PER_M) / _POINTS_PER_M
-    for x, y, z in points.tolist():
-        added.points.add(x=x, y=y, z=z)
-    return added

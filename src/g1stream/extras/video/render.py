@@ -16,11 +16,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.meshes.meshes import with_shapes
 from g1stream.extras.video.scene import PosedRobot, Scene
 from g1stream.files import check_suffix, complete_file
 from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
-from g1stream.robot.shapes import with_shapes
 from g1stream.session.recording import Recording
 from g1stream.session.streams import BaseStream, MeasuredStream, ReferenceStream, Stream
 from g1stream.types import Camera, Floats, Ints, Phase

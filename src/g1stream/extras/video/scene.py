@@ -13,19 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from g1stream.errors import ConfigError, RobotError, SimError
+from g1stream.extras.meshes.meshes import decimate, find_mesh, has_meshes, read_stl
 from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import pose_blocks
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import (
-    Visual,
-    decimate,
-    find_mesh,
-    ghost_size,
-    has_meshes,
-    read_stl,
-    read_visuals,
-)
+from g1stream.robot.shapes import Visual, ghost_size, read_visuals
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 

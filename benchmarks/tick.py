@@ -25,6 +25,7 @@ from g1stream.control.gains import resolve_gains
 from g1stream.control.limits import CommandLimits
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.receiver import Receiver
 from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.targets import Targets, Timing
 from g1stream.dds.messages import LowState
@@ -50,7 +51,8 @@ def parts() -> dict[str, Callable[[int], object]]:
     timing = Timing(wait=0, ramp=10**9, play=None, hold=0, damp=0)
     checks = LowStateChecks(robot, config.safety, config.constants)
     limit = np.full(29, 100.0)
-    composer = Composer(CommandLimits(robot, config.safety), resolve_gains(config.gains))
+    limits, motors = CommandLimits(robot, config.safety), Receiver(TICK, 0.5)
+    composer = Composer(limits, resolve_gains(config.gains), motors)
     imu = ImuReading(*(np.array(one) for one in ([1.0, 0, 0, 0], [0.0] * 3, [0.0, 0.0, 9.81])))
     target = targets.at(Phase.PLAY, 0, timing, targets.first)
     at_target = LowState()

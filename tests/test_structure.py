@@ -14,7 +14,7 @@ SPEC.loader.exec_module(TOOL)
 #: an option that needs another file needs another design (CONTRIBUTING.md, "Add a flag").
 MOST = {
     "joints that play, kinds of G1": 51,
-    "receiver": 28,
+    "receiver": 23,
     "source: policy, balance": 29,
     "support": 22,
     "clock of the robot": 8,

@@ -15,7 +15,8 @@ from g1stream.app.session import open_session
 from g1stream.app.stream import stream
 from g1stream.child_process import ChildError, process_state
 from g1stream.config import Config
-from g1stream.control.guard import Guard, Heartbeat, Takeover, _damp, _settings
+from g1stream.control.guard import Guard, Heartbeat, Takeover, _end, _settings
+from g1stream.control.receiver import Receiver
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LowCmd
@@ -165,11 +166,12 @@ def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, tap, 
 
     monkeypatch.setattr(RawWriter, "write", every_other)
     monkeypatch.setattr(RawWriter, "announce", refused)
-    settings = _settings(config, heartbeat.descriptor, ())._replace(damp=200_000_000)
+    settings = _settings(config, heartbeat.descriptor, ())
+    receiver = Receiver(settings.period, 0.2)
     with tap(domain_id) as commands, Participant(domain_id, "lo") as participant:
         writer = RawWriter(participant, LOWCMD)
         until(lambda: writer.matched, "the tap")
-        _damp(heartbeat, settings, writer, Takeover.SILENT)
+        _end(heartbeat, settings, receiver, writer, Takeover.SILENT)
         until(lambda: len(commands) == len(written) // 2, "damping")
     heartbeat.close()
     assert len(commands) > 1

@@ -13,6 +13,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
 from g1stream.control.lowstate import STATE_TIMEOUT, LowStateChecks
+from g1stream.control.receiver import Receiver
 from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
 from g1stream.control.targets import Targets, Timing
@@ -164,7 +165,7 @@ def make_loop(clock, link, trajectory, robot, timing):
         plain = FeedForward("velocity", limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
-            Composer(CommandLimits(robot, safety), gains),
+            Composer(CommandLimits(robot, safety), gains, Receiver(2 * MS, 0.2)),
             other.pop("feedforward", plain),
             period=2 * MS,
             soft_start=other.pop("soft_start", 0),

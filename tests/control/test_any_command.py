@@ -9,6 +9,7 @@ from g1stream.control.command import Composer
 from g1stream.control.gains import Gains
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
 from g1stream.control.reading import STALE, Reading
+from g1stream.control.receiver import Receiver
 from g1stream.control.targets import Target
 from g1stream.dds.messages import LowCmd, LowState
 from g1stream.robot.model import G1
@@ -48,7 +49,7 @@ def test_every_command_is_within_the_limits(seed, margin, stiffness, lies, leaps
     effort = ROBOT.torque_limit
     kp, kd = np.full(29, stiffness), rng.uniform(0.0, 10.0, 29)
     limits = CommandLimits(ROBOT, SafetyConfig(position_margin=margin))
-    composer = Composer(limits, Gains(kp, kd))
+    composer = Composer(limits, Gains(kp, kd), Receiver(2_000_000, 0.5))
     begun = rng.uniform(ROBOT.lower - outside, ROBOT.upper + outside)
     composer.begin(begun.astype(np.float32), 5)
     before, sent = begun, LowCmd()

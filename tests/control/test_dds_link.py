@@ -4,11 +4,14 @@ import time
 
 import pytest
 
-from g1stream.control.guard import Heartbeat, Takeover, damping_command
+from g1stream.control.guard import Heartbeat, Takeover
 from g1stream.control.link import DdsLink
+from g1stream.control.receiver import Receiver
 from g1stream.dds.domain import IDLE, AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, POLICY, LowCmd, LowState, PolicyStep, Reference
+
+MOTORS = Receiver(2_000_000, 0.5)
 
 
 @pytest.fixture
@@ -16,7 +19,7 @@ def ends(domain_id, until, request):
     """Our link, and a writer of LowState in a participant of its own, by default our bridge's."""
     user_data = getattr(request, "param", AnnouncedBridge("bolted").user_data)
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link = DdsLink(ours)
+        link = DdsLink(ours, None, MOTORS)
         writer = RawWriter(theirs, LOWSTATE, depth=100, user_data=user_data)
         until(lambda: writer.matched, "a match")
         yield link, writer
@@ -54,8 +57,7 @@ def test_the_ticks_of_another_publisher_show_no_loss(ends, until):
 
 STIFF = LowCmd()
 STIFF.motor_mode, STIFF.kp[:], STIFF.kd[:] = 1, 100.0, 2.0
-STIFF = STIFF.seal()
-DAMPING = damping_command(STIFF)
+STIFF, DAMPING = STIFF.seal(), next(MOTORS.end(STIFF))
 
 
 @pytest.fixture
@@ -63,7 +65,7 @@ def guarded(domain_id, until):
     """A link whose guard may take over, its heartbeat, and the commands that arrive."""
     heartbeat = Heartbeat()
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link = DdsLink(ours, heartbeat)
+        link = DdsLink(ours, heartbeat, MOTORS)
         reader = RawReader(theirs, LOWCMD, depth=10)
         until(link.subscribers, "a match")
         arrived = []
@@ -117,7 +119,7 @@ def test_what_a_source_tells_is_published_with_the_time_of_the_command(domain_id
     for i, step in enumerate(steps):
         step.step[()], step.observation[1023] = i, i
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link, reader = DdsLink(ours, told=POLICY), RawReader(theirs, POLICY, depth=10)
+        link, reader = DdsLink(ours, None, MOTORS, POLICY), RawReader(theirs, POLICY, depth=10)
         until(lambda: reader.matched, "a match")
         for i, step in enumerate(steps):
             link.tell(POLICY, step.tobytes(), 1000 + i // 2)
@@ -133,7 +135,7 @@ def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not
     state = LowState()
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
         before = time.monotonic()
-        link = DdsLink(ours)
+        link = DdsLink(ours, None, MOTORS)
         after = time.monotonic()
         first, second = (RawWriter(theirs, LOWSTATE, depth=10) for _ in range(2))
         until(lambda: first.matched and second.matched, "both to match")
@@ -153,7 +155,7 @@ def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not
 
 def test_what_announces_to_be_idle_and_publishes_is_another_publisher(domain_id, until):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link = DdsLink(ours)
+        link = DdsLink(ours, None, MOTORS)
         writer = RawWriter(theirs, LOWCMD, user_data=IDLE)
         until(lambda: writer.matched, "a match")
         until(lambda: ours.writers(LOWCMD.name), "its discovery")
@@ -164,7 +166,7 @@ def test_what_announces_to_be_idle_and_publishes_is_another_publisher(domain_id,
 
 def test_a_publisher_that_is_matched_before_it_is_announced(domain_id, until, monkeypatch):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link, writer = DdsLink(ours), RawWriter(theirs, LOWCMD)
+        link, writer = DdsLink(ours, None, MOTORS), RawWriter(theirs, LOWCMD)
         with monkeypatch.context() as patch:
             patch.setattr(ours, "writers", lambda topic: [])
             until(link.other_publishers, "a match")

@@ -269,7 +269,7 @@ def test_under_the_robots_own_controller_the_measured_attitude_decides(
     made, model, target, imu, events
 ):
     tilted = imu._replace(quat_wxyz=np.array([0.8, 0.6, 0, 0], np.float32))
-    feed = made("follow", kind=None, support=None, onboard=True)
+    feed = made("follow", kind=None, support=None, carried=True)
     assert feed.kind == "dynamics"
     assert feed.support is None
     asked = command(feed, target, tilted)
@@ -287,5 +287,5 @@ def test_under_the_robots_own_controller_the_measured_attitude_decides(
 
 
 def test_a_robot_under_its_own_controller_sags_without_torque_and_says_so(made, events):
-    assert made(kind=None, support=None, onboard=True).kind == "velocity"
+    assert made(kind=None, support=None, carried=True).kind == "velocity"
     assert [level for level, _ in events()] == [logging.WARNING]

@@ -3,19 +3,10 @@ import socket
 import subprocess
 import time
 
-import numpy as np
 import pytest
 
 from g1stream.config import Config
-from g1stream.control.guard import (
-    Heartbeat,
-    Takeover,
-    Watch,
-    _fence,
-    _here,
-    _settings,
-    damping_command,
-)
+from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, _here, _settings
 from g1stream.dds.messages import LowCmd
 from threads import in_thread
 
@@ -100,21 +91,6 @@ def test_both_processes_see_the_same_heartbeat(heartbeat):
     heartbeat.clear()
     assert other.last_write == 0
     other.close()
-
-
-def test_the_guard_damps_where_the_last_command_was():
-    """The slots of absent motors stay zero."""
-    last, damping = LowCmd(), LowCmd()
-    last.motor_mode, last.mode_machine[()] = np.arange(29) % 7 > 0, 5
-    last.q[:] = np.linspace(-1, 1, 29)
-    last.dq[:], last.tau[:], last.kp[:], last.kd[:] = 1.0, 2.0, 100.0, 4.0
-    damping.load(damping_command(last.seal()))
-    assert damping.crc_matches()
-    assert np.array_equal(damping.q, last.q)
-    assert np.array_equal((damping.kp, damping.dq, damping.tau), np.zeros((3, 29)))
-    assert damping.kd.tolist() == [3.0 if i % 7 else 0.0 for i in range(29)]
-    assert damping.motor_mode.tolist() == [int(i % 7 > 0) for i in range(29)]
-    assert damping.mode_machine == 5
 
 
 @pytest.mark.parametrize("priority", [0, 50])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.link import DdsLink
+from g1stream.control.receiver import Receiver
 from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
@@ -37,7 +38,7 @@ class DdsEnds:
 
     def __init__(self, ours, theirs):
         self._theirs = theirs
-        self.link = DdsLink(ours)
+        self.link = DdsLink(ours, None, Receiver(2_000_000, 0.5))
         self.now = time.monotonic_ns
         self._states = RawWriter(theirs, LOWSTATE)
         self._readers = {REFERENCE.name: RawReader(theirs, REFERENCE, depth=10)}

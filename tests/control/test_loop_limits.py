@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig, load_config
+from g1stream.config import Config, SafetyConfig
 from g1stream.control import loop as control_loop
 from g1stream.control.limits import CommandLimits
 from g1stream.control.plan import plan
@@ -62,20 +62,10 @@ def test_states_of_a_stall_are_received_before_their_age_is_checked(make_loop, l
     assert report.stop is None
 
 
-@pytest.mark.parametrize(
-    ("over", "support", "damps"),
-    [
-        ({}, "free", True),
-        ({}, "hanging", False),
-        ({}, None, False),
-        ({"stream.via": "arm_sdk"}, "hanging", True),  # the robot's own controller stands
-    ],
-)
-def test_a_tilt_ends_the_session_of_a_robot_that_nothing_holds(
-    link, clock, motion, over, support, damps
-):
+@pytest.mark.parametrize(("support", "damps"), [("free", True), ("hanging", False), (None, False)])
+def test_a_tilt_ends_the_session_of_a_robot_that_nothing_holds(link, clock, motion, support, damps):
     """By 1.2 rad: as far as a robot that hangs may swing, and as one that falls."""
-    loop = control_loop.make_loop(plan(motion, load_config(over=over)), link, clock, settle=0)
+    loop = control_loop.make_loop(plan(motion, Config()), link, clock, settle=0)
     turned = np.array([np.cos(0.6), 0.0, np.sin(0.6), 0.0], np.float32)
     link.at_send(20, lambda: link.robot.quaternion.__setitem__(slice(None), turned))
     with link.held(support):

@@ -4,7 +4,7 @@ import socket
 import numpy as np
 import pytest
 
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
+from g1stream.dds.messages import COMMANDS, LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
 from g1stream.recorder.diagnostics import (
     ClockReading,
     Losses,
@@ -68,7 +68,7 @@ def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
         assert len(losses._commands._commands) <= 110
 
 
-@pytest.mark.parametrize("commands", [LOWCMD, ARM_SDK])
+@pytest.mark.parametrize("commands", COMMANDS.values())
 def test_a_command_that_only_its_reference_tells_of_is_lost(commands):
     losses, step = Losses(), 2_000_000
     times = [i * step for i in range(1000)]
@@ -77,7 +77,7 @@ def test_a_command_that_only_its_reference_tells_of_is_lost(commands):
     references = batch(Reference(), range(1000))
     references.publish_times = times
     losses.add(REFERENCE.name, references)
-    lost = {LOWCMD.name: 0, ARM_SDK.name: 0, REFERENCE.name: 0}
+    lost = {one.name: 0 for one in (*COMMANDS.values(), REFERENCE)}
     assert losses.update(lost, state_step=2.0) == {commands.name: 3}
 
 

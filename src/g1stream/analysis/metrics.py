@@ -318,7 +318,7 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
 
 def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     """The timing, from the summary and the publish times of our commands and of states."""
-    # With --via arm_sdk, /lowcmd has the commands of the robot's own controller.
+    # Beside commands for the arms, /lowcmd has those of the robot's own controller.
     ours = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
     stream, command = summary.stream, summary.topics.get(ours.topic)
     late = None if summary.simulated else stream  # a simulation waits for the loop

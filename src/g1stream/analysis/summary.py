@@ -432,7 +432,7 @@ def _joints(summary: Summary) -> str:
         named += [short_name(limb)] if played & names >= names - missing else short
     settings = summary.settings or {}
     rest = "only damp" if settings.get("stream.others") == "free" else "hold their pose"
-    if settings.get("stream.via") == "arm_sdk":
+    if settings.get("stream.via", "lowcmd") != "lowcmd":
         rest = "are the robot's own controller's"
     if settings.get("stream.support") == "feet":
         rest = "stand still"

@@ -14,10 +14,9 @@ from g1stream.control.reading import Reading
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.errors import SafetyError, WireError
 from g1stream.network import is_local_only, network_name, require_interface
-from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
 
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
 
-#: Longest wait for the motion service, including discovery, s.
-_SERVICE_TIMEOUT: Final = 3.0
 #: Time to listen for LowState for the findings, s.
 _LISTEN: Final = 0.5
 _POLL: Final = 0.005  # s
@@ -59,8 +56,7 @@ class ArmingReport:
     peak_speed: float  # the highest speed of a joint in RAMP, rad/s
     limits: dict[str, Any]  # the safety settings, by name
     wider: tuple[WiderValue, ...]  # settings that are less careful than the profile `robot`
-    # The active mode, which `stream.via` = arm_sdk needs and rt/lowcmd forbids; a warning if it is
-    # not known.
+    # Whether a mode is active as the receiver needs it; a warning if that is not known.
     motion_service: Finding
     findings: tuple[Finding, ...]  # of `g1stream doctor`
 
@@ -91,13 +87,12 @@ def confirm_arming(
     """Ask for confirmation before anything is sent. There is nothing to ask without `arm`.
 
     Raises:
-        SafetyError: it was not confirmed, or the robot's own controller is active, or inactive
-            when `stream.via` = arm_sdk needs it.
+        SafetyError: it was not confirmed, or the receiver's check failed.
         WireError: no plausible LowState is received.
     """
     if arm is None:
-        if plan.topic is ARM_SDK:
-            _motion_service(participant, plan)
+        if plan.receiver.carries:  # in a simulator, too, nothing would move without a mode
+            plan.receiver.check(participant)
     elif not arm(inspect_for_arming(participant, plan)):
         raise SafetyError(
             f"Arming on {plan.config.dds.interface} was not confirmed; nothing was sent.",
@@ -109,16 +104,16 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     """Inspect the robot, its motion service and the network. It publishes no command.
 
     Raises:
-        SafetyError: a mode of the motion service is active and would also send commands, or
-            `stream.via` = arm_sdk needs a mode and none is active.
+        SafetyError: a mode of the motion service is active and would also send commands, or the
+            receiver needs one and none is active.
         WireError: no plausible LowState is received.
     """
-    from g1stream.doctor.facts import Facts, warning  # slow, and loopback does not need it
+    from g1stream.doctor.facts import Facts, ok, warning  # slow, and loopback does not need it
     from g1stream.doctor.findings import evaluate
     from g1stream.doctor.inspection import inspect_host, inspect_participant
 
-    config, kind = plan.config, plan.robot.joint_set
-    service = _motion_service(participant, plan)
+    config, kind, service = plan.config, plan.robot.joint_set, "motion service"
+    cause, remedy = plan.receiver.check(participant)
     state = _plausible_state(participant, plan)
     first = plan.trajectory.sample(plan.interval.start).joint_pos
     distance = np.where(plan.played, first - state.q.astype(np.float64), 0.0)
@@ -144,52 +139,9 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump() | config.constants._asdict(),
         wider=tuple(config.wider_than_robot()),
-        motion_service=service,
+        motion_service=warning(service, cause, remedy) if remedy else ok(service, cause),
         findings=tuple(findings),
     )
-
-
-def _motion_service(participant: Participant, plan: Plan) -> Finding:
-    """Check that the robot's own controller is inactive, or active if it is to move the arms.
-
-    Raises:
-        SafetyError: it is active and would also send commands, or it is needed and inactive.
-    """
-    from g1stream.doctor.facts import ok, warning
-
-    arms = plan.topic is ARM_SDK
-    about = "motion service"
-    try:
-        active = extension("motion_service")(participant, _SERVICE_TIMEOUT).check().name
-    except WireError as error:  # a simulator has no motion service; publishers are checked anyway
-        return warning(
-            about,
-            f"{error.cause} The robot's own controller may "
-            + (
-                "not be active."
-                if arms
-                else "be active, and its commands would conflict with ours."
-            ),
-            "Continue only if you know that the robot's controller balances it."
-            if arms
-            else "Continue only if this is a simulator, or if you know that no mode is active.",
-        )
-    where = f"--domain {participant.domain} --interface {participant.interface}"
-    if arms and not active:
-        raise SafetyError(
-            "rt/arm_sdk needs the robot's own controller, which is not active: nothing would move.",
-            f"Activate it with the remote or g1stream robot restore ai {where}; in the simulator "
-            "use g1stream sim --onboard ai.",
-        )
-    if arms:
-        return ok(about, f"mode {active} is active, and forwards the arm commands")
-    if active:
-        raise SafetyError(
-            f"The robot's own controller is active (mode {active}). Its commands would conflict "
-            "with ours.",
-            f"Support the robot, because it will go limp, and run: g1stream robot release {where}",
-        )
-    return ok(about, "no mode is active")
 
 
 def _plausible_state(participant: Participant, plan: Plan) -> Reading:

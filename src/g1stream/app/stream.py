@@ -15,7 +15,7 @@ from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.guard import Guard
-from g1stream.control.link import END_OTHER, DdsLink
+from g1stream.control.link import DdsLink
 from g1stream.control.stop import Stop
 from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
@@ -109,7 +109,7 @@ def stream(
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant, planned)
         told = planned.source.tells
-        link = DdsLink(participant, guard.wait_until_ready(), planned.topic, told)
+        link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, told)
         events = dds_log_handler(participant, "stream")
         loop = make_loop(planned, link, clock)
         if on_loop:
@@ -275,13 +275,13 @@ def _unlogged() -> Iterator[None]:
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:
     """Refuse to start if another program publishes commands; ours would stop another g1stream."""
-    topic = planned.topic
+    topic = planned.receiver.topic
     others = participant.commanders(topic.name)
     if others:
         raise SafetyError(
             f"There is another publisher on {topic.name}: "
             f"{', '.join(map(participant.owner, others))}.",
-            END_OTHER[topic],
+            planned.receiver.end_other,
         )
 
 
@@ -305,7 +305,7 @@ def _diagnose(
     where = planned.config.dds
     wire = replace(wire, state=state, commands_matched=link.subscribers())
     wire = search_elsewhere(wire, where.domain, where.interface)
-    findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
+    findings = explain_no_robot(where.domain, where.interface, wire, planned.receiver.topic.name)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)
     return findings

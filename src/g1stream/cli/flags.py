@@ -296,7 +296,9 @@ class _Parser(ArgumentParser):
             key, _, pattern = need.partition("=")
             value = given.get(key)
             last = value[-1] if isinstance(value, list) else value
-            return key in given and fnmatch(str(last).lower(), pattern or "*")
+            # A file of settings may name what a flag needs.
+            named = key in given or ("." in key and "config" in given)
+            return named and fnmatch(str(last).lower(), pattern or "*")
 
         for key in given:
             shown, needs = self._shown(key), self._needs(key)

@@ -1,10 +1,5 @@
 """Make the LowCmd and the Reference of a tick from target, feed-forward and limits.
 
-On rt/arm_sdk only arms and waist get targets. The robot's own controller blends them into its own
-targets while it stands, walks and balances, with a weight w from 0 to 1: the motors get (1 - w) of
-the controller's command and w of the stream's. The controller keeps the last weight that any
-program sent, so the program that raised it must bring it back to 0.
-
 Pure: times and measurements are arguments.
 """
 
@@ -13,54 +8,30 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from g1stream.control.sources import Moment
 from g1stream.dds.messages import LowCmd, Reference, played_bits
 from g1stream.motion.blend import minimum_jerk
-from g1stream.robot.joints import N_JOINTS, select_joints
+from g1stream.robot.joints import N_JOINTS
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.gains import Gains
     from g1stream.control.limits import CommandLimits
     from g1stream.control.reading import Reading
+    from g1stream.control.receiver import Receiver
     from g1stream.control.schedule import Schedule
     from g1stream.control.targets import Target
 
-__all__ = [
-    "DAMP_KD",
-    "HAND_BACK_TIME",
-    "MOVED",
-    "WEIGHT_TIME",
-    "ArmSdkComposer",
-    "Composer",
-    "NextCommand",
-    "Prepared",
-    "hand_back_commands",
-]
+__all__ = ["Composer", "NextCommand", "Prepared"]
 
 _LOGGER = logging.getLogger(__name__)
-
-DAMP_KD: Final = 3.0
-"""kd of every joint while damping, N·m·s/rad."""
-
-WEIGHT_TIME: Final = 2.0
-"""Time in which the weight of rt/arm_sdk goes from 0 to 1 or back, s, as in Unitree's examples."""
-
-HAND_BACK_TIME: Final = WEIGHT_TIME + 0.05
-"""Time in which arms and waist are handed back at the end, s. The weight of 0 is repeated, because
-a best-effort reader may miss one command."""
-
-MOVED: Final = select_joints("arms,waist")
-"""(29,) the joints that can be moved through the robot's own controller."""
 
 
 class Composer:
@@ -69,21 +40,23 @@ class Composer:
     Args:
         limits: limits of a command.
         gains: kp and kd in all phases except DAMP.
+        receiver: the receiver of the commands.
         played: (29,) joints that play the motion, as published in the Reference; None: all.
         commanded: (29,) motors that get commands, None: all; the slots of the others are 0.
 
     Attributes:
-        limits: as given; it counts the changes.
+        limits, receiver: as given; `limits` counts the changes.
     """
 
     def __init__(
         self,
         limits: CommandLimits,
         gains: Gains,
+        receiver: Receiver,
         played: NDArray[np.bool_] | None = None,
         commanded: NDArray[np.bool_] | None = None,
     ) -> None:
-        self.limits = limits
+        self.limits, self.receiver = limits, receiver
         self._servo: Floats = np.stack(gains)
         self._wire = np.zeros((3, N_JOINTS), np.float32)
         self._asked = np.zeros((2, N_JOINTS))
@@ -105,10 +78,8 @@ class Composer:
         command.q[:] = q
 
     def damp(self) -> None:
-        """Command only damping from now on, without position control; keeps the last target."""
-        command = self._command
-        command.kp[:] = command.dq[:] = command.tau[:] = 0.0
-        command.kd[:] = DAMP_KD * self._commanded
+        """Damp from now on, or what the receiver does instead; keeps the last target."""
+        self.receiver.damp(self._command)
 
     def compose(
         self,
@@ -173,71 +144,10 @@ class Composer:
             casting="same_kind",
         )
         reference.target[:] = self._published
-        return self._seal(phase, tick), reference.tobytes()
-
-    def _seal(self, phase: Phase, tick: int) -> bytes:
-        """The LowCmd of a tick with its CRC, with zeros for motors that get no command."""
-        command = self._command
         if len(self._silent):
             for values in (command.q, command.dq, command.tau, command.kp, command.kd):
                 values[self._silent] = 0.0
-        return command.seal()
-
-
-class ArmSdkComposer(Composer):
-    """Makes commands for rt/arm_sdk, with targets for arms and waist and a weight.
-
-    The weight rises from the first command on, and falls in DAMP. There, arms and waist keep gains
-    and torque of the last target, without its velocity, while the controller takes them over.
-
-    Args:
-        limits, gains, played, commanded: as of `Composer`.
-        period: time between commands, ns.
-    """
-
-    def __init__(
-        self,
-        limits: CommandLimits,
-        gains: Gains,
-        played: NDArray[np.bool_],
-        commanded: NDArray[np.bool_],
-        period: int,
-    ) -> None:
-        super().__init__(limits, gains, played, commanded)
-        self._sent, self._tick = 0.0, 0  # weight of the last command, and the tick after it
-        self._next = 0.0
-        self._period = period
-
-    def damp(self) -> None:
-        """Stop with the same gains and torque; `_seal` reduces the weight."""
-        self._command.dq[:] = 0.0
-
-    def _seal(self, phase: Phase, tick: int) -> bytes:
-        if tick != self._tick:  # the command of the previous tick has been sent
-            self._sent, self._tick = self._next, tick
-        self._next = _next_weight(self._sent, self._period, up=phase is not Phase.DAMP)
-        self._command.weight[()] = self._next
-        return super()._seal(phase, tick)
-
-
-def hand_back_commands(command: bytes, period: int) -> Iterator[bytes]:
-    """Commands with their CRC, `period` ns apart, that bring the weight of `command` to 0.
-
-    They keep its targets, gains and torques, without velocity.
-    """
-    last = LowCmd()
-    last.load(command)
-    last.dq[:] = 0.0
-    weight = float(last.weight)
-    for _ in range(round(HAND_BACK_TIME * 1e9 / period) + 1):
-        last.weight[()] = weight = _next_weight(weight, period, up=False)
-        yield last.seal()
-
-
-def _next_weight(weight: float, period: int, *, up: bool) -> float:
-    """The weight of the command that is `period` ns later; 0 after NaN."""
-    step = period / 1e9 / WEIGHT_TIME
-    return min(1.0, max(0.0, weight + (step if up else -step)))
+        return self.receiver.seal(command, phase, tick), reference.tobytes()
 
 
 class Prepared(NamedTuple):

@@ -56,9 +56,8 @@ class FeedForward:
             takes effect later. None: `delay`, plus a period for a bridge that announces its
             support.
         time_scale: ratio of simulated to real time; None: it is measured.
-        onboard: the robot's own controller carries the robot, and only arms and waist are
-            commanded. Their torque is computed for a pelvis at rest in the attitude that the IMU
-            measures, independent of the legs.
+        carried: the robot's own controller carries the robot. Torque is computed for a pelvis at
+            rest in the attitude that the IMU measures, independent of the legs.
         delay: known time from receiving a command until the motors apply it, s.
         torque_scale: (29,) ratio of the torque that the motors apply to the commanded torque; the
             torque of the source is divided by it.
@@ -82,7 +81,7 @@ class FeedForward:
         period: float,
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
-        onboard: bool = False,
+        carried: bool = False,
         delay: float = 0.0,
         torque_scale: Floats | float = 1.0,
     ) -> None:
@@ -95,7 +94,7 @@ class FeedForward:
         self.changes: list[FeedForwardChange] = []
         self._asked, self._told_support, self._torques = kind, support, source
         self._told_preview, self._told_scale = preview, time_scale or 1.0
-        self._onboard = onboard
+        self._carried = carried
         self._delay, self._torque_scale = delay, torque_scale
         self._limit = limit
         self._period = period
@@ -129,43 +128,28 @@ class FeedForward:
         if observed:  # the target is observed, and must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
         self.kind, self.support = self._asked, self._told_support
-        if self._onboard:
-            self._begin_onboard(announced, robot)
-            return
-        self.support = self.support or next(
-            (known for known in get_args(Support) if known == announced), None
-        )
-        if self.kind is None:
+        known: object = announced
+        if not self._carried:
+            self.support = self.support or next(
+                (one for one in get_args(Support) if one == announced), None
+            )
             # Only the model of the extra `feet` includes ground contact.
             known = self.support not in (None, "free") or (self._torques and self._torques.needed)
-            self.kind = "dynamics" if known and self._torques else "velocity"
-        unknown = self.kind == "dynamics" and not (self._torques and self.support)
-        if unknown:
-            self.kind = "velocity"
-        text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
-        if unknown:
-            text += " only: the support is unknown; give --support"
-        if not observed:  # a policy gives no torque
-            _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
-        if self.kind == "dynamics" and self._torques and self.support:
-            self.source = self._torques
-            self.source.begin(self.support, announced, robot)
-
-    def _begin_onboard(self, announced: str | None, robot: str | None) -> None:
-        """As `begin`, for a robot that its own controller carries; its support is not checked."""
+        held = "bolted" if self._carried else self.support
         if self.kind is None:
-            known = announced is not None
             self.kind = "dynamics" if known and self._torques else "velocity"
-        if self.kind == "dynamics" and self._torques:
+        lacks = ""
+        if self.kind == "dynamics" and not (self._torques and held):
+            self.kind, lacks = "velocity", " only: the support is unknown; give --support"
+        elif self.kind != "dynamics" and self._carried:
+            lacks = " only: joints sag under their weight; use --feedforward dynamics"
+        text = f"dynamics, support {held}" if self.kind == "dynamics" else str(self.kind)
+        if not observed:  # a policy gives no torque
+            level = logging.WARNING if lacks else logging.INFO
+            _LOGGER.log(level, "feed-forward: %s%s", text, lacks)
+        if self.kind == "dynamics" and self._torques and held:
             self.source = self._torques
-            self.source.begin("bolted", "bolted", robot)
-            _LOGGER.info("feed-forward: dynamics, at the measured attitude of the pelvis")
-        else:
-            _LOGGER.warning(
-                "feed-forward: %s only: arms and waist sag under their weight; "
-                "--feedforward dynamics compensates for it",
-                self.kind,
-            )
+            self.source.begin(held, held if self._carried else announced, robot)
 
     @property
     def time_scale(self) -> float:

@@ -22,7 +22,6 @@ import time
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from functools import partial
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -30,13 +29,13 @@ from cyclonedds.core import DDSException
 
 from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
-from g1stream.control.command import DAMP_KD, hand_back_commands
+from g1stream.control.receiver import Receiver, load_receiver
 from g1stream.control.stop import Stop
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.messages import COMMANDS, LowCmd
+from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import GUARD, ConsoleHandler, handled_by
 from g1stream.network import is_local_only
@@ -47,19 +46,15 @@ if TYPE_CHECKING:
 
     from g1stream.child_process import Parent
     from g1stream.config import Config
+    from g1stream.types import Via
 
 __all__ = [
-    "HANDS_BACK",
     "Guard",
     "Heartbeat",
     "Takeover",
     "Watch",
     "count_subscribers",
-    "damping_command",
 ]
-
-HANDS_BACK: Final = "hands arms and waist back"
-"""What the guard does with arm_sdk instead of damping."""
 
 _LOGGER = logging.getLogger("g1stream.guard")  # in the child process, this module is __main__
 
@@ -242,15 +237,6 @@ class Watch:
         return min(now + _CHECK_PERIOD, limit) if limit > now else now + _CHECK_PERIOD
 
 
-def damping_command(command: bytes) -> bytes:
-    """A LowCmd with its CRC that damps at the target of `command`."""
-    damping = LowCmd()
-    damping.load(command)
-    damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0
-    damping.kd[:] = DAMP_KD * (damping.motor_mode == 1)  # 0 for missing motors
-    return damping.seal()
-
-
 def count_subscribers(participant: Participant, commands: RawWriter) -> int:
     """Number of subscribers of LowCmd that a writer has matched, without observers."""
     matched = commands.matched
@@ -375,9 +361,7 @@ class _Settings(NamedTuple):
         priority: SCHED_FIFO priority.
         limit: silence after which a running stream is replaced, ns.
         period: time between two damping commands, ns.
-        damp: duration of damping, ns.
-        arm_sdk: the stream commands arms and waist through the robot's own controller; they are
-            handed back to it instead of damped.
+        via, damp: as of `load_receiver`.
     """
 
     memory: int
@@ -388,8 +372,8 @@ class _Settings(NamedTuple):
     priority: int
     limit: int
     period: int
-    damp: int
-    arm_sdk: bool
+    via: Via
+    damp: float
 
 
 def _settings(config: Config, memory: int, sockets: Sequence[int]) -> _Settings:
@@ -406,8 +390,8 @@ def _settings(config: Config, memory: int, sockets: Sequence[int]) -> _Settings:
         priority=priority + 1,  # also where the loop has none, and may not get the CPU
         limit=round(limit * 1e9),
         period=settings.period,
-        damp=round(settings.damp * 1e9),
-        arm_sdk=settings.via == "arm_sdk",
+        via=settings.via,
+        damp=settings.damp,
     )
 
 
@@ -420,15 +404,15 @@ def _run_child(parent: Parent) -> None:
     heartbeat = Heartbeat(settings.memory)
     allow_all_cpus()  # a process that takes the stream's CPU must not take the guard's
     with Participant(settings.domain, settings.interface) as participant:
-        topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
-        commands = RawWriter(participant, topic, user_data=IDLE)
+        receiver = load_receiver(settings.via, settings.period, settings.damp)
+        commands = RawWriter(participant, receiver.topic, user_data=IDLE)
         events = dds_log_handler(participant, GUARD)
         scheduled = on_time(settings.priority, helpers=participant.threads)
         with handled_by(events, ConsoleHandler()), scheduled:
             parent.ready()
             subscribers = partial(count_subscribers, participant, commands)
             if why := _watch(parent, heartbeat, settings, subscribers):
-                _damp(heartbeat, settings, commands, why)
+                _end(heartbeat, settings, receiver, commands, why)
 
 
 def _watch(
@@ -497,7 +481,13 @@ def _here(pid: int) -> Iterator[None]:
                 os.sched_setaffinity(task_id, cpus)
 
 
-def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
+def _end(
+    heartbeat: Heartbeat,
+    settings: _Settings,
+    receiver: Receiver,
+    commands: RawWriter,
+    why: Takeover,
+) -> None:
     def send(frame: bytes) -> None:
         with suppress(DDSException):  # the next write may succeed
             commands.write(frame)
@@ -505,13 +495,15 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
     silence = time.monotonic_ns() - heartbeat.last_write
     heartbeat.takeover = why
     _fence(heartbeat, settings, why)
-    frames = _frames(heartbeat.command, settings)
+    last = LowCmd()
+    last.load(heartbeat.command)
+    frames = receiver.end(last)
     send(next(frames))
     with suppress(DDSException):
         commands.announce(PUBLISHING)
     _LOGGER.error(
         "the guard %s: g1stream stream (pid %d) %s, %.0f ms after its last command",
-        HANDS_BACK if settings.arm_sdk else "damps",
+        receiver.ending,
         settings.stream,
         why,
         silence / 1e6,
@@ -519,14 +511,6 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
     clock = SystemClock()
     for _, frame in zip(Ticker(clock, settings.period, clock.now()), frames, strict=False):
         send(frame)
-
-
-def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
-    """The guard's commands after `command`, the stream's last one."""
-    if settings.arm_sdk:
-        return hand_back_commands(command, settings.period)
-    number = -(-settings.damp // settings.period) + 1
-    return repeat(damping_command(command), number)
 
 
 if __name__ == "__main__":

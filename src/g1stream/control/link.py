@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.control.guard import HANDS_BACK, Takeover, count_subscribers
+from g1stream.control.guard import Takeover, count_subscribers
 from g1stream.control.stop import Stop
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Topic
+from g1stream.dds.messages import LOWSTATE, REFERENCE, Topic
 from g1stream.dds.ticks import TickGaps
 
 if TYPE_CHECKING:
     from g1stream.control.guard import Heartbeat
+    from g1stream.control.receiver import Receiver
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import LowState
 
-__all__ = ["END_OTHER", "DdsLink", "Link", "OtherPublishers"]
+__all__ = ["DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled; 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
@@ -81,26 +82,26 @@ class DdsLink:
     Args:
         participant: the DDS participant.
         heartbeat: heartbeat of the guard process; None without a guard.
-        topic: topic of the commands, LOWCMD or ARM_SDK.
+        receiver: the receiver of the commands.
         told: topic of a source's messages about commands; None without messages.
     """
 
     def __init__(
         self,
         participant: Participant,
-        heartbeat: Heartbeat | None = None,
-        topic: Topic = LOWCMD,
+        heartbeat: Heartbeat | None,
+        receiver: Receiver,
         told: Topic | None = None,
     ) -> None:
         self._participant = participant
         self._heartbeat = heartbeat
-        self._topic = topic
-        self._commands = RawWriter(participant, topic, user_data=IDLE)
+        self._receiver, self._topic = receiver, receiver.topic
+        self._commands = RawWriter(participant, self._topic, user_data=IDLE)
         self._idle = True
         self._references = RawWriter(participant, REFERENCE)
         self._told = RawWriter(participant, told, depth=_TOLD_DEPTH) if told else None
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
-        self._others = RawReader(participant, topic, ignore_own=True, user_data=OBSERVER)
+        self._others = RawReader(participant, self._topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
         self._state_turns = PublishersByTurns()
         self._several = False
@@ -210,8 +211,7 @@ class DdsLink:
 
     def replaced(self) -> str:
         why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
-        does = HANDS_BACK if self._topic is ARM_SDK else "damps the robot"
-        return f"the guard process {does}: this process {why}" if why else ""
+        return f"the guard process {self._receiver.ending}: this process {why}" if why else ""
 
     def counts(self) -> dict[str, int | None]:
         """Counters of received and lost messages, by their field names in `StreamSummary`."""
@@ -227,14 +227,6 @@ class DdsLink:
         }
 
 
-END_OTHER: Final = {
-    LOWCMD: "Stop it; `g1stream robot release` releases the robot's own controller.",
-    ARM_SDK: "Stop it, because only one program at a time can move the arms.",
-}
-"""Remedy for another publisher, by topic of commands. With ARM_SDK, the robot's own controller is
-not released, because it carries the robot while a stream moves its arms."""
-
-
 class OtherPublishers:
     """Detects other publishers of LowCmd, and several publishers of LowState.
 
@@ -244,7 +236,7 @@ class OtherPublishers:
         topic: topic of the commands.
     """
 
-    def __init__(self, link: Link, *, allow_second_writer: bool, topic: Topic = LOWCMD) -> None:
+    def __init__(self, link: Link, *, allow_second_writer: bool, topic: Topic) -> None:
         self._link, self._topic = link, topic
         self._allow_second_writer = allow_second_writer
         self._next_command_check = self._next_state_check = 0

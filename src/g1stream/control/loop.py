@@ -12,10 +12,10 @@ from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
-from g1stream.control.command import ArmSdkComposer, Composer, NextCommand
+from g1stream.control.command import Composer, NextCommand
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
-from g1stream.control.link import END_OTHER, OtherPublishers
+from g1stream.control.link import OtherPublishers
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.robot_time import RobotTime
@@ -23,7 +23,7 @@ from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.stop import Stop
 from g1stream.control.targets import COAST_NS, Targets, Timing
 from g1stream.dds.domain import SETTLE
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
+from g1stream.dds.messages import LowState
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.network import network_name
 from g1stream.text import counted
@@ -63,7 +63,6 @@ class StreamLoop:
         overruns: counts the ticks that the loop misses.
         period: time between commands, ns.
         allow_second_writer: play even if there is another publisher of LowCmd.
-        topic: topic of the commands, LOWCMD or ARM_SDK.
         where: DDS domain and network of the robot, for log messages.
 
     Attributes:
@@ -83,7 +82,6 @@ class StreamLoop:
         *,
         period: int,
         allow_second_writer: bool = False,
-        topic: Topic = LOWCMD,
         where: str = "",
     ) -> None:
         self._link = link
@@ -94,8 +92,10 @@ class StreamLoop:
         self._checks = checks
         self._overruns = overruns
         self._period = period
-        self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
-        self._topic = topic
+        self._receiver = receiver = commands.composer.receiver
+        self._others = OtherPublishers(
+            link, allow_second_writer=allow_second_writer, topic=receiver.topic
+        )
         self._where, self._next_told = where, _TOLD
         self._robot_time = RobotTime()
         self._low_state = LowState()
@@ -312,7 +312,7 @@ class StreamLoop:
 
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
-            return f"no subscriber on {self._topic.name}"
+            return f"no subscriber on {self._receiver.topic.name}"
         return self._link.unready()
 
     def _robot_unknown(self, now: int) -> str:
@@ -336,7 +336,7 @@ class StreamLoop:
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other.text}; nothing was sent.",
-                f"{END_OTHER[self._topic]} Or use another --domain.",
+                f"{self._receiver.end_other} Or use another --domain.",
             )
         return other
 
@@ -346,8 +346,7 @@ class StreamLoop:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
             self._commands.begin(measured, self._link.support(), self._link.model())
-            # With arm_sdk, the robot's own controller stands on its feet.
-            self._checks.begin("free" if self._topic is ARM_SDK else self._feedforward.support)
+            self._checks.begin("free" if self._receiver.carries else self._feedforward.support)
         elif phase is Phase.PLAY:
             self._robot_time.begin(self._clock.now())
         elif phase is Phase.DAMP:
@@ -356,8 +355,8 @@ class StreamLoop:
         stop = self.state.stop if before.phase < Phase.DAMP else None
         level = logging.ERROR if stop and stop.kind != "signal" else logging.INFO
         _LOGGER.log(level, f"{change}: {stop.text}" if stop else change)
-        if phase is Phase.DAMP and self._topic is ARM_SDK:
-            _LOGGER.info("arms and waist are handed back to the robot's own controller")
+        if phase is Phase.DAMP and self._receiver.carries:
+            _LOGGER.info("the stream %s", self._receiver.ending)
 
     def _prepare(self, deadline: int) -> None:
         self._commands.prepare(deadline, self._clock.now(), self._measured)
@@ -418,11 +417,11 @@ def make_loop(
             button of the remote.
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
-    period, onboard = settings.period, plan.topic is ARM_SDK
+    period = settings.period
     limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=source.in_steps)
-    composer = Composer(limits, plan.gains, plan.played, robot.present)
-    if onboard:
-        composer = ArmSdkComposer(limits, plan.gains, plan.played, plan.held, period)
+    receiver = plan.receiver
+    commanded = robot.present & receiver.joints
+    composer = Composer(limits, plan.gains, receiver, plan.played, commanded)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
     if way_down := source.way_down:
         hold = max(timing.hold, COAST_NS)
@@ -444,7 +443,7 @@ def make_loop(
         period=period / 1e9,
         preview=settings.preview,
         time_scale=config.constants.time_scale,
-        onboard=onboard,
+        carried=receiver.carries,
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
@@ -457,13 +456,12 @@ def make_loop(
             composer,
             feedforward,
             period=period,
-            soft_start=0 if onboard else round(config.constants.soft_start * 1e9),
+            soft_start=0 if receiver.carries else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
         LowStateChecks(robot, config.safety, config.constants, period, plan.held),
         Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
-        topic=plan.topic,
         where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

@@ -10,11 +10,10 @@ import numpy as np
 
 from g1stream.config import Config
 from g1stream.control.combinations import require_combination
-from g1stream.control.command import MOVED
 from g1stream.control.gains import gains_in_play
+from g1stream.control.receiver import load_receiver
 from g1stream.control.sources import load_source
 from g1stream.control.wire_settings import for_wire
-from g1stream.dds.messages import COMMANDS
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.control.gains import Gains
+    from g1stream.control.receiver import Receiver
     from g1stream.control.sources import Source
-    from g1stream.dds.messages import Topic
     from g1stream.motion.limits import Interval
     from g1stream.motion.trajectory import Trajectory
 
@@ -48,7 +47,7 @@ class Plan:
         trajectory: trajectory of the motion as it is played.
         interval: the part of the trajectory that is played.
         slowed: factor by which the motion was slowed down; 1 if it was not.
-        topic: topic of the commands.
+        receiver: the receiver of the commands.
         gains: gains of the servos.
         played: (29,) joints that play the motion.
         held: (29,) joints with a position servo.
@@ -61,7 +60,7 @@ class Plan:
     trajectory: Trajectory
     interval: Interval
     slowed: float
-    topic: Topic
+    receiver: Receiver
     gains: Gains
     played: NDArray[np.bool_]
     held: NDArray[np.bool_]
@@ -110,10 +109,9 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     settings = config.stream
     robot = G1.of_config(config)
     played = robot.select(settings.played_joints)
-    held = played if settings.others == "free" else robot.present
-    if settings.via == "arm_sdk":
-        held = MOVED & robot.present
     require_combination(config, robot, simulated=simulated)
+    receiver = load_receiver(settings.via, settings.period, settings.damp)
+    held = played if settings.others == "free" else robot.present & receiver.joints
     source = load_source(config, robot, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
@@ -129,7 +127,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         trajectory=fit.trajectory,
         interval=fit.interval,
         slowed=fit.slowed,
-        topic=COMMANDS[settings.via],
+        receiver=receiver,
         gains=source.gains or gains_in_play(config, robot),
         played=played,
         held=held,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from g1stream.control.command import HAND_BACK_TIME, WEIGHT_TIME
+from g1stream.control.receiver import load_receiver
 from g1stream.errors import ConfigError
 from g1stream.network import is_local_only, network_name
 
@@ -29,10 +29,7 @@ def for_wire(config: Config) -> Config:
         )
     if config.profile == "robot":
         config = config.filled()
-    if config.stream.via != "arm_sdk":
-        return config
-    timing = {
-        "ramp": max(config.stream.ramp, WEIGHT_TIME),
-        "damp": HAND_BACK_TIME,
-    }
-    return config.model_copy(update={"stream": config.stream.model_copy(update=timing)})
+    stream = config.stream
+    receiver = load_receiver(stream.via, stream.period, stream.damp)
+    timed = stream.model_copy(update=receiver.timing(stream))
+    return config.model_copy(update={"stream": timed})

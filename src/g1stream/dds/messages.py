@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "ARM_SDK",
     "COMMANDS",
     "LOG",
     "LOWCMD",
@@ -444,7 +443,6 @@ class Topic:
 
 
 LOWCMD: Final = Topic("rt/lowcmd", LowCmd)
-ARM_SDK: Final = Topic("rt/arm_sdk", LowCmd)
 LOWSTATE: Final = Topic("rt/lowstate", LowState)
 SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
 SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
@@ -452,7 +450,15 @@ REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
 POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
-COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": ARM_SDK}
+COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": Topic("rt/arm_sdk", LowCmd)}
 """Topics of commands, by `stream.via`."""
 
-TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, POLICY, LOG)
+TOPICS: Final = (
+    *COMMANDS.values(),
+    LOWSTATE,
+    SPORTMODESTATE,
+    SECONDARY_IMU,
+    REFERENCE,
+    POLICY,
+    LOG,
+)

@@ -41,7 +41,7 @@ _DURABILITIES: Final = ("volatile", "transient local", "transient", "persistent"
 
 # Topics of the robot's own services only.
 _ROBOT_WRITES: Final = {"rt/lf/lowstate", "rt/odommodestate"}
-_ROBOT_READS: Final = {"rt/arm_sdk"}
+_ROBOT_READS: Final = {one.name for one in COMMANDS.values()} - {LOWCMD.name}
 
 
 def evaluate(facts: Facts) -> list[Finding]:

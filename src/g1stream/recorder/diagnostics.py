@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
+from g1stream.dds.messages import COMMANDS, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.udp_sockets import socket_inodes, udp_sockets
 from g1stream.session.records import ClockStep
@@ -61,7 +61,7 @@ class MissingCommands:
     def __init__(self) -> None:
         self.topic = LOWCMD.name
         self.count = 0
-        # Apart by topic: with --via arm_sdk, /lowcmd has the robot's own clock.
+        # Apart by topic: the robot's own controller publishes on /lowcmd with its own clock.
         self._commands: dict[str, set[int]] = defaultdict(set)
         self._references: set[int] = set()
         self._newest = 0
@@ -124,7 +124,7 @@ class Losses:
 
     def add(self, name: str, batch: Batch) -> None:
         """Add samples of a topic, oldest first; the ticks of each writer are independent."""
-        if name in (LOWCMD.name, ARM_SDK.name):
+        if any(name == one.name for one in COMMANDS.values()):
             self._commands.add_commands(name, batch.publish_times)
         if name == REFERENCE.name:
             self._commands.add_references(batch.publish_times)

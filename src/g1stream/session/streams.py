@@ -420,7 +420,7 @@ class ArmCommandStream(CommandStream):
     """The targets for arms and waist that were sent to the robot's own controller."""
 
     topic = "/arm_sdk"
-    source = messages.ARM_SDK
+    source = messages.COMMANDS["arm_sdk"]
 
     __annotations__ = CommandStream.__annotations__
 

@@ -149,7 +149,7 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config, tap):
 
 def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config, monkeypatch):
     """Motor numbers, and a motion service that does not answer; a CRC may not be provided."""
-    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
+    monkeypatch.setattr("g1stream.control.receiver.SERVICE_TIMEOUT", 0.5)
     config = config.model_copy(update={"robot": "g1_23dof"})
     with still_robot(crc=bytes(4), serves=False) as participant:
         report = inspect_for_arming(participant, plan(STILL, config))
@@ -185,7 +185,7 @@ def test_arms_need_an_active_mode_on_loopback_too(bridge, config):
 
 
 def test_without_a_robot_there_is_nothing_to_arm(config, monkeypatch):
-    monkeypatch.setattr("g1stream.app.arming._SERVICE_TIMEOUT", 0.5)
+    monkeypatch.setattr("g1stream.control.receiver.SERVICE_TIMEOUT", 0.5)
     with pytest.raises(WireError):
         stream("demo", config, arm=lambda report: pytest.fail("asked"))
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import numpy as np
 
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LowCmd, LowState
+from g1stream.dds.messages import LOWCMD, LowCmd, LowState
 from g1stream.extras.onboard.motion_service import (
     API_VERSION,
     ApiEndpoint,
@@ -25,7 +25,8 @@ from g1stream.extras.onboard.motion_service import (
     ErrorCode,
     response_to,
 )
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, select_joints
+from g1stream.extras.onboard.receiver import OnboardController
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 from g1stream.sim.world import Root
 from g1stream.types import OnboardMode
 
@@ -45,8 +46,6 @@ _SWAYS: Final = 0.4
 _STIFFER: Final = (5.0, 2.0)
 #: Weight up to which the arms count as handed back; the example of Unitree's SDK ends with 0.007.
 _LEAST: Final = 0.01
-#: (29,) the joints that rt/arm_sdk moves.
-_ARMS: Final = select_joints("arms,waist")
 
 
 class MotionService:
@@ -111,14 +110,16 @@ class MotionService:
         command.load(sample.data)
         values = (command.q, command.dq, command.tau, command.kp, command.kd, command.weight)
         if not command.crc_matches():
-            _LOGGER.warning("command on %s refused: its CRC is wrong", ARM_SDK.name)
+            _LOGGER.warning("command on %s refused: its CRC is wrong", OnboardController.topic.name)
         elif not all(np.isfinite(one).all() for one in values):
-            _LOGGER.warning("command on %s refused: a value is not finite", ARM_SDK.name)
+            _LOGGER.warning(
+                "command on %s refused: a value is not finite", OnboardController.topic.name
+            )
         else:
             moved = command.weight > _LEAST
             if moved != (self._asked.weight > _LEAST):
                 how = "moved from" if moved else "handed back by"
-                _LOGGER.info("arms and waist are %s %s", how, ARM_SDK.name)
+                _LOGGER.info("arms and waist are %s %s", how, OnboardController.topic.name)
             self._asked = command
 
     def _answer(self, api: int, parameter: str) -> tuple[ErrorCode, str]:
@@ -142,7 +143,7 @@ class MotionService:
             self._release()
             self._mode = name
             self._writer = RawWriter(self._participant, LOWCMD)
-            self._arms = RawReader(self._participant, ARM_SDK)
+            self._arms = RawReader(self._participant, OnboardController.topic)
             _LOGGER.info("motion service: mode %s is active and publishes LowCmd", name)
         return ErrorCode.DONE
 
@@ -181,5 +182,7 @@ def _blended(own: LowCmd, asked: LowCmd) -> bytes:
     command.load(own.tobytes())
     for name in ("q", "dq", "tau", "kp", "kd"):
         values, others = getattr(command, name), getattr(asked, name)
-        values[_ARMS] += weight * (others[_ARMS] - values[_ARMS])
+        values[OnboardController.joints] += weight * (
+            others[OnboardController.joints] - values[OnboardController.joints]
+        )
     return command.seal()

@@ -8,7 +8,7 @@ import pytest
 from g1stream.app.session import open_session
 from g1stream.types import Phase
 
-PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
+PATIENT = Path(__file__).parents[2] / "data" / "patient.toml"
 LEGS, ARMS = slice(0, 12), slice(12, 29)
 
 pytestmark = [

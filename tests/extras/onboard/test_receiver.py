@@ -7,12 +7,14 @@ import pytest
 
 from g1stream.config import load_config
 from g1stream.control.combinations import require_combination
-from g1stream.control.command import hand_back_commands
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
+from g1stream.extras.onboard.receiver import OnboardController
+from g1stream.motion.motion import Motion
 from g1stream.robot.model import G1
+from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 
 PERIOD = 2_000_000  # ns
@@ -30,7 +32,21 @@ ENDS = {
 
 
 @pytest.fixture
-def made(link, clock, motion):
+def clock():
+    return FakeClock()
+
+
+@pytest.fixture
+def link(clock):
+    return FakeLink(clock)
+
+
+@pytest.fixture
+def made(link, clock):
+    """A loop that plays half a second, at up to 0.4 rad/s."""
+    times = np.arange(26)[:, np.newaxis] / 50.0
+    motion = Motion.from_arrays(0.1 * np.sin(4.0 * times + np.linspace(0.1, 1.5, 29)), fps=50.0)
+
     def make(**settings):
         over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
         over["safety.state_timeout"] = 0.1
@@ -41,7 +57,8 @@ def made(link, clock, motion):
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end):
+def test_every_way_out_hands_arms_and_waist_back(made, link, caplog, end):
+    caplog.set_level("INFO", logger="g1stream")
     loop = made()
     if act := ENDS[end]:
         link.at_send(600, lambda: act(loop, link))
@@ -50,9 +67,7 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end)
     except TypeError:
         assert end == "the loop fails"
     commands = [sent.command for sent in link.sent]
-    assert [text for _, text in events() if "handed back" in text] == [
-        "arms and waist are handed back to the robot's own controller"
-    ]
+    assert caplog.messages.count("the stream hands arms and waist back") == 1
     weights = np.array([float(command.weight) for command in commands])
     assert weights[0] == pytest.approx(STEP)
     assert np.abs(np.diff(weights)).max() < STEP * 1.001
@@ -105,7 +120,7 @@ def test_what_a_guard_sends_after_a_command(weight):
     last.q[:], last.dq[:], last.tau[:], last.kp[:] = 0.5, 1.0, 2.0, 40.0
     last.weight[()] = weight
     command, weights = LowCmd(), []
-    for frame in hand_back_commands(last.seal(), PERIOD):
+    for frame in OnboardController(PERIOD, HANDING_BACK, 0.0).end(last):
         command.load(frame)
         assert command.crc_matches()
         assert (command.q == 0.5).all()
@@ -117,3 +132,28 @@ def test_what_a_guard_sends_after_a_command(weight):
     assert weights[-1] == 0.0
     assert weights.count(0.0) > 20
     assert len(weights) == round(HANDING_BACK * 1e9 / PERIOD) + 1
+
+
+@pytest.mark.parametrize("announced", ["hanging", None])
+def test_a_tilt_ends_the_session_whatever_a_simulator_announces(made, link, announced):
+    """By 1.2 rad, because the robot's own controller stands."""
+    link.announced = announced
+    turned = np.array([np.cos(0.6), 0.0, np.sin(0.6), 0.0], np.float32)
+    link.at_send(20, lambda: link.robot.quaternion.__setitem__(slice(None), turned))
+    assert made().run().stop.kind == "tilt"
+    assert not link.in_phase(Phase.PLAY)
+
+
+@pytest.mark.parametrize(
+    ("announced", "given", "kind"),
+    [("follow", None, "dynamics"), (None, None, "velocity"), (None, "dynamics", "dynamics")],
+)
+def test_a_robot_that_announces_nothing_has_torque_only_if_asked(
+    made, link, announced, given, kind
+):
+    link.announced = announced
+    loop = made(feedforward=given)
+    loop.run()
+    feedforward = loop.report.feedforward
+    assert (feedforward.kind, feedforward.support) == (kind, None)
+    assert any(sent.command.tau.any() for sent in link.sent) == (kind == "dynamics")

@@ -120,7 +120,7 @@ def test_what_a_guard_sends_after_a_command(weight):
     last.q[:], last.dq[:], last.tau[:], last.kp[:] = 0.5, 1.0, 2.0, 40.0
     last.weight[()] = weight
     command, weights = LowCmd(), []
-    for frame in OnboardController(PERIOD, HANDING_BACK, 0.0).end(last):
+    for frame in OnboardController(PERIOD, HANDING_BACK).end(last):
         command.load(frame)
         assert command.crc_matches()
         assert (command.q == 0.5).all()

@@ -417,9 +417,8 @@ def make_loop(
             button of the remote.
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
-    period = settings.period
+    period, receiver = settings.period, plan.receiver
     limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=source.in_steps)
-    receiver = plan.receiver
     commanded = robot.present & receiver.joints
     composer = Composer(limits, plan.gains, receiver, plan.played, commanded)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)

@@ -29,11 +29,12 @@ RECEIVERS: Final[Mapping[Via, str]] = {
 }
 """Receivers as `module:class`, by `stream.via`. To add one, add a row."""
 
-#: kd of every joint in DAMP, N·m·s/rad.
-_DAMP_KD: Final = 3.0
 
 SERVICE_TIMEOUT: Final = 3.0
 """Longest wait for the motion service, including discovery, s."""
+
+#: kd of every joint while damping, N·m·s/rad.
+_DAMP_KD: Final = 3.0
 
 
 class Receiver:
@@ -114,11 +115,11 @@ class Receiver:
         return repeat(command.seal(), self._ending_commands)
 
 
-def load_receiver(via: Via, *settings: Any) -> Receiver:
-    """Make the receiver `via`; `settings` are the arguments of `Receiver`.
+def load_receiver(via: Via, period: int, damp: float) -> Receiver:
+    """Make the receiver `via`; other arguments as of `Receiver`.
 
     Raises:
         ConfigError: a package that the receiver needs is not installed.
     """
-    made: Receiver = load_object(RECEIVERS[via])(*settings)
+    made: Receiver = load_object(RECEIVERS[via])(period, damp)
     return made

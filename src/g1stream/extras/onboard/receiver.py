@@ -51,8 +51,7 @@ class OnboardController(Receiver):
         self._next = 0.0
 
     def timing(self, settings: StreamConfig) -> dict[str, Any]:
-        ramp = max(settings.ramp, _WEIGHT_TIME)
-        return {"ramp": ramp, "damp": _HAND_BACK_TIME}
+        return {"ramp": max(settings.ramp, _WEIGHT_TIME), "damp": _HAND_BACK_TIME}
 
     def check(self, participant: Participant) -> tuple[str, str]:
         """Check that a mode is active, without which nothing would move.

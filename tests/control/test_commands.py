@@ -4,7 +4,7 @@ import pytest
 from g1stream.config import SafetyConfig
 from g1stream.control.command import Composer
 from g1stream.control.gains import Gains
-from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
+from g1stream.control.limits import MAX_STEP_TIME, CommandLimits, PositionLimit
 from g1stream.control.reading import Reading
 from g1stream.control.receiver import Receiver
 from g1stream.control.targets import Target
@@ -14,6 +14,7 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
 PERIOD = 0.002
+STILL = np.zeros(29)
 KP, KD = np.arange(29) + 40.0, np.arange(29) / 10 + 1.0
 
 
@@ -59,7 +60,7 @@ def test_a_held_target_is_not_driven_on_into_its_limit(make_limits, robot, torqu
     limits, dq, tau = make_limits(), np.full(29, 3.0), np.full(29, torque)
     q = (robot.lower + robot.upper) / 2
     q[3], q[4] = robot.upper[3] + 0.2, robot.lower[4] - 0.2
-    limits.begin(limits.limit_position(q))
+    limits.begin(q.clip(robot.lower, robot.upper))
     limited, limited_tau = limits.apply(np.stack([q, dq]), tau, elapsed=PERIOD)
     dq[3] = dq[4] = 0.0
     tau[3], tau[4] = min(torque, 0.0), max(torque, 0.0)
@@ -69,29 +70,28 @@ def test_a_held_target_is_not_driven_on_into_its_limit(make_limits, robot, torqu
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
 def test_a_ramp_from_beyond_a_limit_is_let_in_with_the_ramp(make_limits, robot, side):
-    limits = make_limits(position_margin=0.1)
+    limit = PositionLimit(robot, 0.1)
     at_stop, inward = getattr(robot, side), 0.1 if side == "lower" else -0.1
-    limits.begin(at_stop)
-    assert limits.limit_position(at_stop, 0.0).tolist() == at_stop.tolist()
-    assert limits.limit_position(at_stop, 0.25) == pytest.approx(at_stop + 0.25 * inward)
-    assert limits.limit_position(at_stop, 1.0) == pytest.approx(at_stop + inward)
-    assert limits.limit_position(at_stop) == pytest.approx(at_stop + inward)
+    limit.begin(at_stop)
+    for ramped, way in ((0.0, 0.0), (0.25, 0.25), (1.0, 1.0)):
+        (q, _), _ = limit.apply(np.stack([at_stop, STILL]), STILL, ramped)
+        assert q == pytest.approx(at_stop + way * inward, abs=1e-15)
 
 
 def test_targets_beyond_a_limit_are_held_and_counted(make_limits, robot):
-    limits = make_limits(position_margin=0.1)
+    limit = PositionLimit(robot, 0.1)
     q = (robot.lower + robot.upper) / 2
     q[3] = robot.upper[3] - 0.1 + 1e-5
     q[4] = robot.lower[4] + 0.1 - 1e-5
     q[5] = robot.upper[5] - 0.1 + 1e-9  # a rounding error: held as well, but not counted
     q[6], q[7] = robot.upper[6] - 0.1, robot.lower[7] + 0.1
     for _ in range(3):
-        limited = limits.limit_position(q)
+        (limited, _), _ = limit.apply(np.stack([q, STILL]), STILL)
         assert limited[3] == robot.upper[3] - 0.1
         assert limited[4] == robot.lower[4] + 0.1
         assert limited[5] == robot.upper[5] - 0.1
     assert np.delete(limited, [3, 4, 5]).tolist() == np.delete(q, [3, 4, 5]).tolist()
-    assert limits.clamped.tolist() == [3 if i in (3, 4) else 0 for i in range(29)]
+    assert limit.clamped.tolist() == [3 if i in (3, 4) else 0 for i in range(29)]
 
 
 def test_margin_that_leaves_no_range_is_refused(make_limits, robot):
@@ -136,7 +136,7 @@ def test_a_motion_at_its_highest_speed_is_left_alone(make_limits, robot):
     asked = robot.velocity[KNEE] * PERIOD * np.arange(1, 60)
     sent = played(limits, asked)
     assert sent[:, 0].tolist() == asked.tolist()
-    assert not limits.speed_limited.any()
+    assert not limits.speed.limited.any()
 
 
 def test_a_joint_that_is_asked_for_too_much_comes_as_near_as_it_can(make_limits, robot):
@@ -148,8 +148,8 @@ def test_a_joint_that_is_asked_for_too_much_comes_as_near_as_it_can(make_limits,
     assert np.abs(np.diff(sent[:, 0])).max() == pytest.approx(speed * PERIOD, rel=2e-3)
     assert np.abs(sent[:, 1]).max() <= speed * 1.001
     assert sent[12:, 0] == pytest.approx(0.0, abs=1e-6)
-    assert limits.speed_limited.tolist() == [2 if joint == KNEE else 0 for joint in range(29)]
-    assert limits.fault == ""
+    assert limits.speed.limited.tolist() == [2 if joint == KNEE else 0 for joint in range(29)]
+    assert limits.speed.fault == ""
 
 
 @pytest.mark.parametrize(("beyond", "ends"), [("refuse", True), ("clamp", False)])
@@ -160,7 +160,7 @@ def test_a_joint_that_would_be_more_than_20_ms_late_ends_the_session(
     sent = played(limits, np.full(200, 2.4))
     assert np.abs(np.diff(sent[:, 0])).max() <= robot.velocity[KNEE] * PERIOD * 1.002
     assert sent[-1, 0] == pytest.approx(2.4)
-    assert (JOINT_NAMES[KNEE] in limits.fault) is ends
+    assert (JOINT_NAMES[KNEE] in limits.speed.fault) is ends
 
 
 def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(make_limits, robot):
@@ -173,7 +173,7 @@ def test_a_target_in_steps_moves_at_once_by_what_its_joint_does_in_20_ms(make_li
     assert moved[10:24] == pytest.approx(np.ones(14), rel=0.002)
     assert moved[39] == pytest.approx(2.5, rel=0.002)
     assert sent[-1] == pytest.approx(27.5)
-    assert limits.fault == ""
+    assert limits.speed.fault == ""
 
 
 def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(make_limits, robot):
@@ -202,7 +202,7 @@ def test_only_joints_beyond_their_torque_are_moved_and_counted(make_limits, robo
     fine = np.abs((gains * (asked - state)).sum(axis=0) + tau) <= robot.torque_limit
     assert same is tau
     assert (limited == asked).all(axis=0).tolist() == fine.tolist()
-    assert limits.torque_limited.tolist() == (~fine).astype(int).tolist()
+    assert limits.torque.limited.tolist() == (~fine).astype(int).tolist()
     assert 0 < fine.sum() < 29
 
 
@@ -222,7 +222,7 @@ def test_a_joint_that_is_held_fast_is_pushed_no_harder_than_its_motor_can(make_l
     assert sent[299] == pytest.approx(robot.torque_limit[WRIST] / 40.0)
     assert sent[-1] == 1.0
     assert np.abs(np.diff(sent)).max() <= robot.velocity[WRIST] * PERIOD * 1.002
-    assert limits.fault == ""
+    assert limits.speed.fault == ""
 
 
 @pytest.mark.parametrize(("states", "commands"), [(1, 0), (2, 2)])
@@ -239,7 +239,7 @@ def test_a_velocity_that_one_state_alone_has_is_not_commanded(make_limits, state
         limits.sent()
         if k == 5:
             assert limited is asked
-    assert limits.torque_limited[WRIST] == commands
+    assert limits.torque.limited[WRIST] == commands
 
 
 def test_an_old_measurement_says_nothing_of_the_torque(make_limits):

@@ -360,7 +360,7 @@ class StreamLoop:
 
     def _prepare(self, deadline: int) -> None:
         self._commands.prepare(deadline, self._clock.now(), self._measured)
-        if fault := self._commands.composer.limits.fault:
+        if fault := self._commands.composer.limits.speed.fault:
             self._stop = self._stop or Stop("target", fault)
 
     def _abort(self, error: BaseException) -> None:

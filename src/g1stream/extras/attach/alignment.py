@@ -8,6 +8,7 @@ squares on the joint positions then gives the line's offset and speed.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from g1stream.analysis.tracking import interpolated, rms
 from g1stream.session.streams import MAX_GAP_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -32,13 +33,12 @@ _PAUSE, _SHORTEST = 60.0, 1.0
 _RATE: Final = 25
 #: Length of a window, s, and the least number of windows in a short motion.
 _WINDOW, _FEWEST_WINDOWS = 2.0, 2
-#: Most pairs of windows to compare at speed 1, and at each other speed.
+#: Most pairs of windows to compare at one speed, and at each of several.
 _PAIRS, _FEWER_PAIRS = 4_000_000, 400_000
 _BLOCK: Final = 4096
-#: Speeds that are tried if the motion was not played at its own speed: 0.25 to 4.
-_SPEEDS: Final = tuple(
-    sorted((1.1**i for i in range(-14, 15) if i), key=lambda speed: abs(np.log(speed)))
-)
+#: Speeds that are tried if the motion was not played at its own speed, and the limits of a speed.
+_SPEEDS: Final = tuple(1.1 ** np.arange(-8, 9))
+_SLOWEST, _FASTEST = 0.4, 2.5
 #: Velocities below these are rest: RMS over the joints, and of one joint, rad/s.
 _REST, _JOINT_RESTS = 0.05, 0.05
 #: Number of places in the table that are refined, and the time between them, s.
@@ -48,8 +48,6 @@ _WORTH: Final = 0.2
 #: Least squares: most samples, first time span on either side, s, steps for each span, and the
 #: growth factor of the span.
 _SAMPLES, _FIRST_SPAN, _STEPS, _GROWTH = 600, 2.0, 5, 1.6
-#: Lowest speed; the highest is its inverse.
-_SLOWEST: Final = 0.2
 #: A joint, or a second of all joints, follows the motion if velocities correlate by more.
 _FOLLOWS: Final = 0.5
 #: Least similarity of a playback, by its length, s. Other motions reach 0.9 for 3 s.
@@ -94,6 +92,21 @@ class Play(NamedTuple):
         """Similarity times length, s."""
         return max(self.similarity, 0.0) * self.seconds
 
+    def is_rival(self, other: Play) -> bool:
+        """Whether another playback is at the same time, but at another place in the motion."""
+        (start, end), (other_start, other_end) = self.span, other.span
+        same = abs(self.start - other.start) < _APART and abs(self.speed / other.speed - 1) < 0.02
+        return min(end, other_end) > max(start, other_start) and not same
+
+    def is_similar(self) -> bool:
+        """Whether it is similar enough for its length."""
+        return self.similarity >= least_similarity(self)
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Orders places in a recording: the best has the greatest."""
+        return self.is_similar(), self.explained
+
 
 class Alignment(NamedTuple):
     """The playbacks of a motion in a recording.
@@ -112,76 +125,25 @@ class Alignment(NamedTuple):
     ambiguous: bool
 
 
-def find_plays(
-    times: Floats, q: Floats, trajectory: Trajectory, *, any_speed: bool = True
-) -> Alignment:
-    """Find all playbacks of a motion.
+def find_plays(times: Floats, q: Floats, trajectory: Trajectory) -> Alignment:
+    """Find all playbacks of a motion that have the speed of the best one.
 
     Args:
         times: (N,) s, increasing.
         q: (N, 29) rad, motor order: measured positions, or the targets of commands.
         trajectory: the motion.
-        any_speed: try speeds from a quarter to four times if it was not played at its own speed.
     """
     # A clock may have been stepped by years.
     pauses = np.flatnonzero(np.diff(times) > _PAUSE) + 1
-    signals = [
-        _Signal(times[part], q[part])
-        for part in np.split(np.arange(len(times)), pauses)
-        if len(part) > 1 and times[part[-1]] - times[part[0]] > _SHORTEST
-    ]
-    found = [play for signal in signals for play in _search(signal, trajectory, any_speed)]
-    plays = sorted(_distinct(filter(_is_play, found)), key=lambda play: play.span)
-    best = max(plays, key=lambda play: play.explained, default=None)
-    others = found
-    if best:  # the same place with worse convergence is no other place
-        others = [one for one in found if _overlap(one, best) and not _is_same(one, best)]
+    parts = np.split(np.arange(len(times)), pauses)
+    found = [places for part in parts for places in _search(times[part], q[part], trajectory)]
+    found.sort(key=lambda places: places[0].rank, reverse=True)
+    plays = [places[0] for places in found if places[0].is_similar()]
+    best = plays[0] if plays else None
+    others = found[0][1:] if best else [one for places in found for one in places]
     rival = max(others, key=lambda one: one.explained, default=None)
     ambiguous = bool(best and rival and rival.explained >= _RIVAL * best.explained)
-    return Alignment(tuple(plays), best, rival, ambiguous)
-
-
-def _search(signal: _Signal, trajectory: Trajectory, any_speed: bool) -> list[Play]:
-    """Places that are similar to the motion: playbacks, and other places at the same times."""
-    found: list[Play] = []
-    for speeds, pairs in (((1.0,), _PAIRS), (_SPEEDS if any_speed else (), _FEWER_PAIRS)):
-        while new := _best_places(signal, trajectory, speeds, pairs):
-            found += new
-            free = int(signal.free.sum())
-            for play in filter(_is_play, new):  # then search the remaining time
-                signal.set_aside(play)
-            if signal.free.sum() == free:
-                break
-        # A short match may be chance, and another speed may explain more.
-        explained = sum(play.explained for play in _distinct(filter(_is_play, found)))
-        if explained > 0.5 * min(signal.moving, trajectory.duration):
-            break
-    return found
-
-
-def _best_places(
-    signal: _Signal, trajectory: Trajectory, speeds: Sequence[float], pairs: int
-) -> list[Play]:
-    """The most similar places at some speeds, without duplicates."""
-    places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
-    places.sort(key=lambda place: -place.score)
-    found: list[Play] = []
-    for place in places[:_CANDIDATES]:
-        if place.score < _WORTH * places[0].score:
-            break
-        play = _refined(signal, trajectory, place)
-        if play is not None and not any(_is_same(play, other) for other in found):
-            found.append(play)
-    return found
-
-
-def _distinct(plays: Iterable[Play]) -> list[Play]:
-    """The best of the playbacks at each time, best first."""
-    found: list[Play] = []
-    for play in sorted(plays, key=lambda play: -play.explained):
-        if not any(_overlap(play, other) for other in found):
-            found.append(play)
-    return found
+    return Alignment(tuple(sorted(plays, key=lambda play: play.span)), best, rival, ambiguous)
 
 
 def least_similarity(play: Play) -> float:
@@ -189,17 +151,50 @@ def least_similarity(play: Play) -> float:
     return float(np.interp(play.seconds / play.speed, _SECONDS, _SIMILAR))
 
 
-def _is_play(play: Play) -> bool:
-    return play.similarity >= least_similarity(play)
+def _search(
+    times: Floats, q: Floats, trajectory: Trajectory, speed: float | None = None
+) -> list[list[Play]]:
+    """The playbacks, each with its rivals; without any, the places that are most similar.
+
+    The speed is 1 or the best one if it is not given.
+    """
+    if len(times) < 2 or times[-1] - times[0] < _SHORTEST:
+        return []
+    signal = _Signal(times, q)
+    places = _best_places(signal, trajectory, [speed or 1.0], _PAIRS)
+    # A short match may be chance, and another speed may explain more.
+    enough = 0.5 * min(signal.moving, trajectory.duration)
+    if not (speed or any(one.is_similar() and one.explained > enough for one in places)):
+        places += _best_places(signal, trajectory, _SPEEDS, _FEWER_PAIRS)
+    places.sort(key=lambda place: place.rank, reverse=True)
+    if not places or not places[0].is_similar():
+        return [places] if places else []
+    best = places[0]
+    rivals = [one for one in places if one.is_rival(best)]
+    before, after = np.searchsorted(times, best.span)
+    return [
+        *_search(times[:before], q[:before], trajectory, best.speed),
+        [best, *rivals],
+        *_search(times[after:], q[after:], trajectory, best.speed),
+    ]
 
 
-def _is_same(one: Play, other: Play) -> bool:
-    return abs(one.start - other.start) < _APART and abs(one.speed / other.speed - 1.0) < 0.02
+def _best_places(
+    signal: _Signal, trajectory: Trajectory, speeds: Sequence[float], pairs: int
+) -> list[Play]:
+    """The most similar places at some speeds; a place may be there twice."""
+    places = [place for speed in speeds for place in _places(signal, trajectory, speed, pairs)]
+    places.sort(key=lambda place: -place.score)
+    found = []
+    for place in places[:_CANDIDATES]:
+        if place.score >= _WORTH * places[0].score:
+            with suppress(_NotPlayedError):
+                found.append(_refined(signal, trajectory, place))
+    return found
 
 
-def _overlap(one: Play, other: Play) -> bool:
-    (start, end), (other_start, other_end) = one.span, other.span
-    return min(end, other_end) - max(start, other_start) > 0.0
+class _NotPlayedError(Exception):
+    """The motion was not played at a place."""
 
 
 class _Signal:
@@ -210,7 +205,6 @@ class _Signal:
         grid: (T,) s, `_RATE` a second.
         dq: (T, 29) rad/s on the grid.
         known: (T,) whether there are samples nearby.
-        free: (T,) whether no playback was found there.
         moving: total time in which the joints move, s.
         joints: (29,) which joints move in that time.
     """
@@ -219,34 +213,19 @@ class _Signal:
         self.times, self.q = times, q
         self.grid = np.arange(times[0], times[-1], 1.0 / _RATE)
         # The mean over each step, which has less noise than the sample at it.
-        edges = np.append(self.grid, self.grid[-1] + 1.0 / _RATE) - 0.5 / _RATE
         total = np.zeros(q.shape)
-        np.multiply(q[1:] + q[:-1], 0.5 * np.diff(times)[:, np.newaxis], out=total[1:])
-        np.cumsum(total, axis=0, out=total)
-        self.dq = _velocities(_RATE * np.diff(_extended(edges, times, total, q), axis=0))
+        np.cumsum(0.5 * np.diff(times)[:, np.newaxis] * (q[1:] + q[:-1]), axis=0, out=total[1:])
+        edges = np.append(self.grid, self.grid[-1] + 1.0 / _RATE) - 0.5 / _RATE
+        edges = edges.clip(times[0], times[-1])
+        integrals = np.diff(interpolated(edges, times, total), axis=0)
+        self.dq = _velocities(integrals / np.diff(edges)[:, np.newaxis])
         after = np.searchsorted(times, self.grid).clip(1, len(times) - 1)
         gap = times[after] - times[after - 1]
         self.known = gap <= max(MAX_GAP_NS / 1e9, 3.0 * float(np.median(np.diff(times))))
         self.dq[~self.known] = 0.0
-        self.free = np.ones(len(self.grid), dtype=bool)
         moves = rms(self.dq.T) > _REST
         self.moving = float(moves.sum() / _RATE)
-        self.joints = (
-            rms(self.dq[moves]) > _JOINT_RESTS if moves.any() else np.zeros(q.shape[1], bool)
-        )
-
-    def set_aside(self, play: Play) -> None:
-        """Exclude the time of a playback from the search."""
-        start, end = play.span
-        self.free[(self.grid >= start) & (self.grid <= end)] = False
-
-
-def _extended(at: Floats, times: Floats, total: Floats, q: Floats) -> Floats:
-    """The integral (N, 29) of positions q (N, 29) at any times; positions rest outside `times`."""
-    found = interpolated(at, times, total)
-    found += np.minimum(at - times[0], 0.0)[:, np.newaxis] * q[0]
-    found += np.maximum(at - times[-1], 0.0)[:, np.newaxis] * q[-1]
-    return found
+        self.joints = np.square(self.dq[moves]).sum(axis=0) > _JOINT_RESTS**2 * moves.sum()
 
 
 def _velocities(q: Floats) -> Floats:
@@ -272,18 +251,21 @@ def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) ->
     if length < 2 or len(signal.grid) < 2 * length:
         return
     dq = _velocities(trajectory.sample_joints(at)[0])
-    moving = signal.joints & (rms(dq) > 0.0)
-    if not moving.any() or len(dq) < length:
+    joints = signal.joints & (rms(dq) > 0.0)
+    if not joints.any():
         return
+    ours, theirs = signal.dq[:, joints], dq[:, joints]
     n_motion = len(dq) - length + 1
-    rows = _windows(signal, moving, length, max(8, most // n_motion))
+    moves = sliding_window_view(rms(ours.T), length).mean(axis=1) > _REST
+    rows = np.flatnonzero(moves & sliding_window_view(signal.known, length).all(axis=1))
+    rows = rows[:: max(1, -(-len(rows) // max(8, most // n_motion)), length // 4)]
     if not len(rows):
         return
-    ours = _normalised(signal.dq[:, moving], length, rows)
+    windows = _normalised(ours, length, rows)
     similar = np.empty((len(rows), n_motion), np.float32)
     for first in range(0, n_motion, _BLOCK):
         columns = np.arange(first, min(first + _BLOCK, n_motion))
-        similar[:, columns] = ours @ _normalised(dq[:, moving], length, columns).T
+        similar[:, columns] = windows @ _normalised(theirs, length, columns).T
     # Cubed, because one similar window is worth more than many slightly similar ones.
     weight = np.clip(similar, 0.0, None) ** 3
     lags = rows[:, np.newaxis] - np.arange(n_motion)
@@ -294,27 +276,11 @@ def _places(signal: _Signal, trajectory: Trajectory, speed: float, most: int) ->
         lag = int(score.argmax())
         if score[lag] <= 0.0:
             return
-        columns = rows - (lag + lowest)
-        inside = (columns >= 0) & (columns < n_motion)
-        line = np.where(inside, weight[np.arange(len(rows)), columns.clip(0, n_motion - 1)], -1.0)
-        row = int(rows[line.argmax()])
+        line = np.where(lags == lag + lowest, weight, 0.0).max(axis=1)
         begins = float(signal.grid[0] + (lag + lowest) / _RATE)
-        centre = float(signal.grid[row] + 0.5 * length / _RATE)
+        centre = float(signal.grid[rows[line.argmax()]] + 0.5 * length / _RATE)
         yield _Place(float(score[lag]), begins, speed, centre)
         score[max(0, lag - apart) : lag + apart + 1] = 0.0
-
-
-def _windows(
-    signal: _Signal, moving: NDArray[np.bool_], length: int, most: int
-) -> NDArray[np.intp]:
-    """First rows of the recording's windows in which joints move, evenly spaced."""
-    speed = np.sqrt(np.square(signal.dq[:, moving]).mean(axis=1))
-    total = np.concatenate([[0.0], np.cumsum(speed)])
-    known = np.concatenate([[0], np.cumsum(signal.known & signal.free)])
-    starts = np.arange(len(speed) - length + 1)
-    moves = (total[starts + length] - total[starts]) / length > _REST
-    rows = starts[moves & (known[starts + length] - known[starts] == length)]
-    return np.asarray(rows[:: max(1, -(-len(rows) // most), length // 4)])
 
 
 def _normalised(dq: Floats, length: int, rows: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -322,185 +288,127 @@ def _normalised(dq: Floats, length: int, rows: NDArray[np.intp]) -> NDArray[np.f
     windows = sliding_window_view(dq.astype(np.float32), length, axis=0)[rows]
     flat = windows.reshape(len(rows), -1)
     norm = np.linalg.norm(flat, axis=1, keepdims=True)
-    rest = norm < _REST * np.sqrt(flat.shape[1])
-    found: NDArray[np.float32] = np.where(rest, 0.0, flat / np.maximum(norm, 1e-9))
-    return found.astype(np.float32, copy=False)
+    flat /= np.maximum(norm, 1e-9)
+    flat[norm.ravel() < _REST * np.sqrt(flat.shape[1])] = 0.0
+    return flat
 
 
-def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play | None:
+def _refined(signal: _Signal, trajectory: Trajectory, place: _Place) -> Play:
     """Refine a place by least squares over a span that grows from its most similar point.
 
     The initial speed must be accurate enough that the ends of the span are off by only a
     fraction of a movement. A longer span gives a more accurate speed.
+
+    Raises:
+        _NotPlayedError: nothing similar is there.
     """
     start, speed, span = place.start, place.speed, _FIRST_SPAN
-    joints = signal.joints
     whole = False
     while not whole:
         whole = span * speed > trajectory.duration
         first = max(start, place.centre - span)
         last = min(start + trajectory.duration / speed, place.centre + span)
         for _ in range(_STEPS):
-            better = _least_squares(signal, trajectory, joints, (start, speed), (first, last))
-            if better is None:
-                return None
-            start, speed = better
-        if not _SLOWEST < speed < 1.0 / _SLOWEST:
-            return None
+            start, speed = _improved(signal, trajectory, start, speed, (first, last), signal.joints)
         span *= _GROWTH
-    play = _measure(signal, trajectory, start, speed)
+    play = _measured(signal, trajectory, start, speed)
     for _ in range(2):  # without the samples outside the playback
-        if play is None:
-            return None
-        better = _least_squares(signal, trajectory, play.joints, play[:2], play.span)
-        if better is None:
-            return None
-        play = _measure(signal, trajectory, *better)
+        better = _improved(signal, trajectory, *play[:2], play.span, play.joints)
+        play = _measured(signal, trajectory, *better)
     return play
 
 
-def _least_squares(
+def _improved(
     signal: _Signal,
     trajectory: Trajectory,
-    joints: NDArray[np.bool_],
-    place: tuple[float, float],
+    start: float,
+    speed: float,
     span: tuple[float, float],
-) -> tuple[float, float] | None:
-    """Improve start and speed by a Gauss-Newton step; None if there is no information.
+    joints: NDArray[np.bool_],
+) -> tuple[float, float]:
+    """Start and speed after a Gauss-Newton step.
 
     Each joint has its own mean error. Samples far off have a low weight (Cauchy), because samples
     from outside the motion must not affect the result.
+
+    Raises:
+        _NotPlayedError: the samples in the span do not tell both.
     """
-    start, speed = place
-    inside = slice(*np.searchsorted(signal.times, span))
-    rows = np.arange(inside.start, inside.stop)
+    rows = np.arange(*np.searchsorted(signal.times, span))
     rows = rows[:: max(1, len(rows) // _SAMPLES)]
     if len(rows) < 10:
-        return None
-    times = signal.times[rows]
+        raise _NotPlayedError
     middle = 0.5 * (span[0] + span[1])
-    pos, slope = trajectory.sample_joints(speed * (times - start))
-    error = signal.q[rows] - pos
+    pos, slope = trajectory.sample_joints(speed * (signal.times[rows] - start))
+    slope, error = slope[:, joints], (signal.q[rows] - pos)[:, joints]
     error -= np.median(error, axis=0)
-    size = np.sqrt(np.square(error[:, joints]).mean(axis=1))
-    scale = max(2.0 * float(np.median(size)), 1e-6)
-    weight = 1.0 / (1.0 + np.square(size / scale))
+    size = rms(error.T)
+    weight = 1.0 / (1.0 + np.square(size / max(2.0 * float(np.median(size)), 1e-6)))
     # The parameters are the motion time at the span's middle, and the speed: independent.
-    away = (times - middle)[:, np.newaxis]
-    root = np.sqrt(weight)[:, np.newaxis]
+    away = (signal.times[rows] - middle)[:, np.newaxis]
     by_time, by_speed, wanted = (
-        root * (values - np.average(values, axis=0, weights=weight))
-        for values in (slope[:, joints], slope[:, joints] * away, error[:, joints])
+        np.sqrt(weight)[:, np.newaxis] * (values - np.average(values, axis=0, weights=weight))
+        for values in (slope, slope * away, error)
     )
     both = np.vdot(by_time, by_speed)
     matrix = np.array([[np.vdot(by_time, by_time), both], [both, np.vdot(by_speed, by_speed)]])
     if np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1]:
-        return None
+        raise _NotPlayedError
     ahead, faster = np.linalg.solve(matrix, [np.vdot(by_time, wanted), np.vdot(by_speed, wanted)])
     in_motion = speed * (middle - start) + np.clip(ahead, -0.5, 0.5)
     speed += float(np.clip(faster, -0.2 * speed, 0.2 * speed))
+    if not _SLOWEST < speed < _FASTEST:
+        raise _NotPlayedError
     return float(middle - in_motion / speed), speed
 
 
-def _measure(signal: _Signal, trajectory: Trajectory, start: float, speed: float) -> Play | None:
-    """Measure which part of the motion was played at a place, and its similarity."""
-    inside = (signal.grid >= start) & (signal.grid <= start + trajectory.duration / speed)
-    if inside.sum() < _RATE:
-        return None
-    at = speed * (signal.grid[inside] - start)
-    known = signal.known[inside]
-    ours = signal.dq[inside][known]
-    theirs = _velocities(trajectory.sample_joints(at)[0])[known]
-    at = at[known]
-    followed = _longest_following(ours, theirs, at)
-    if followed is None:
-        return None
-    ours, theirs, at = ours[followed], theirs[followed], at[followed]
-    joints = _following(ours, theirs)
-    if not joints.any():
-        return None
-    similarity = (ours * theirs)[:, joints].sum() / np.sqrt(
-        np.square(ours[:, joints]).sum() * np.square(theirs[:, joints]).sum() + 1e-12
-    )
-    first, last = _ends(signal, trajectory, (start, speed), (at[0], at[-1]), joints)
-    error = _errors(signal, trajectory, (start, speed), (first, last))[:, joints]
-    if not len(error):
-        return None
-    rmse = float(np.sqrt(np.square(error - error.mean(axis=0)).mean()))
-    return Play(start, speed, first, last, float(similarity), rmse, joints)
+def _measured(signal: _Signal, trajectory: Trajectory, start: float, speed: float) -> Play:
+    """Measure which part of the motion was played at a place, and its similarity.
 
-
-def _longest_following(ours: Floats, theirs: Floats, at: Floats) -> slice | None:
-    """The range of rows with the most similarity, in which velocities (T, 29) follow others."""
-    n = min(_RATE, len(at))
-    kernel = np.ones(n)
-
-    def around(values: Floats) -> Floats:
-        found: Floats = np.convolve(values.sum(axis=1), kernel, mode="same")
-        return found
-
-    product, own, other = around(ours * theirs), around(ours**2), around(theirs**2)
-    rest = _REST**2 * ours.shape[1] * n
-    similar = product / np.sqrt(own * other + 1e-12) - _FOLLOWS
-    gain = np.where((own < rest) & (other < rest), 0.0, similar) * np.diff(at, append=at[-1])
-    total = np.concatenate([[0.0], np.cumsum(gain)])
-    lowest = np.minimum.accumulate(total)
-    # Rest at either end belongs to the playback, because there is no evidence against it.
-    end = len(total) - 1 - int((total - lowest)[::-1].argmax())
-    begin = int(total[: end + 1].argmin())
-    return slice(begin, end) if end - begin >= _RATE // 2 else None
-
-
-def _following(ours: Floats, theirs: Floats) -> NDArray[np.bool_]:
-    """(29,) which velocities (T, 29) follow others; a joint that rests in both follows."""
-    total, other = np.square(ours).sum(axis=0), np.square(theirs).sum(axis=0)
-    correlation = (ours * theirs).sum(axis=0) / np.sqrt(total * other + 1e-12)
-    rests = np.maximum(total, other) < _JOINT_RESTS**2 * len(ours)
-    return np.asarray(rests | (correlation > _FOLLOWS))
-
-
-def _errors(
-    signal: _Signal, trajectory: Trajectory, place: tuple[float, float], part: Sequence[float]
-) -> Floats:
-    """(N, 29) rad, motion minus recording, in a part of the motion, s."""
-    start, speed = place
-    span = start + np.asarray(part) / speed
-    rows = slice(*np.searchsorted(signal.times, span))
-    error: Floats = (
-        trajectory.sample_joints(speed * (signal.times[rows] - start))[0] - signal.q[rows]
-    )
-    return error
-
-
-def _ends(
-    signal: _Signal,
-    trajectory: Trajectory,
-    place: tuple[float, float],
-    part: tuple[float, float],
-    joints: NDArray[np.bool_],
-) -> tuple[float, float]:
-    """Start and end of the played part, s of the motion.
-
-    Velocity windows give them to half a second. Positions are more accurate, because before and
-    after a playback the robot is elsewhere.
+    Raises:
+        _NotPlayedError: nothing similar is there.
     """
-    start, speed = place
-    wide = max(0.0, part[0] - speed), min(trajectory.duration, part[1] + speed)
-    rows, inner = (
-        slice(*np.searchsorted(signal.times, start + np.asarray(of) / speed)) for of in (wide, part)
-    )
-    if inner.start == inner.stop:
-        return part
-    inside = slice(inner.start - rows.start, inner.stop - rows.start)
+    at = speed * (signal.grid - start)
+    inside = (at >= 0.0) & (at <= trajectory.duration)
+    if inside.sum() < _RATE:
+        raise _NotPlayedError
+    ours, at, known = signal.dq[inside], at[inside], signal.known[inside]
+    theirs = _velocities(trajectory.sample_joints(at)[0])
+    ours, theirs, at = ours[known], theirs[known], at[known]
+    part = _longest_following(ours, theirs)
+    ours, theirs = ours[part], theirs[part]
+    # A joint that rests in both follows.
+    own, other = np.square(ours).sum(axis=0), np.square(theirs).sum(axis=0)
+    product = (ours * theirs).sum(axis=0)
+    joints = product > _FOLLOWS * np.sqrt(own * other + 1e-12)
+    joints |= np.maximum(own, other) < _JOINT_RESTS**2 * len(ours)
+    if not joints.any():
+        raise _NotPlayedError
+    similarity = product[joints].sum() / np.sqrt(own[joints].sum() * other[joints].sum() + 1e-12)
+    edges = np.concatenate([[0.0], 0.5 * (at[1:] + at[:-1]), [trajectory.duration]])
+    ends = edges[[part.start, part.stop]]
+    rows = slice(*np.searchsorted(signal.times, start + ends / speed))
     at = speed * (signal.times[rows] - start)
-    error = _errors(signal, trajectory, place, wide)[:, joints]
-    size = rms((error - np.median(error[inside], axis=0)).T)
-    most = 2.0 * float(np.quantile(size[inside], 0.9)) + 0.01
-    # An error may be large for a moment within the playback, so a sum decides. One sample counts
-    # against the playback at most as much as three without an error count for it.
-    total = np.cumsum(1.0 - np.minimum(np.square(size / most), 4.0))
-    half = 0.5 * (part[0] + part[1])
-    before, after = at < min(part[0] + speed, half), at > max(part[1] - speed, half)
-    first = np.where(before, np.append(0.0, total[:-1]), np.inf).argmin()
-    last = np.where(after, total, -np.inf).argmax()
-    return float(at[first]), float(at[last])
+    if not len(at):
+        raise _NotPlayedError
+    error = (trajectory.sample_joints(at)[0] - signal.q[rows])[:, joints]
+    # Positions tell the ends more exactly: before and after a playback the robot is elsewhere.
+    size = rms((error - np.median(error, axis=0)).T)
+    near = np.flatnonzero(size <= 2.0 * np.quantile(size, 0.9) + 0.01)
+    at, error = at[near[0] : near[-1] + 1], error[near[0] : near[-1] + 1]
+    rmse = float(rms(rms(error - error.mean(axis=0))))
+    return Play(start, speed, float(at[0]), float(at[-1]), float(similarity), rmse, joints)
+
+
+def _longest_following(ours: Floats, theirs: Floats) -> slice:
+    """The range of rows with the most similarity, in which velocities (T, 29) follow others."""
+    own, other = rms(ours.T), rms(theirs.T)
+    similar = (ours * theirs).mean(axis=1) / np.maximum(own * other, 1e-12)
+    gain = np.where(np.maximum(own, other) < _REST, 0.0, similar - _FOLLOWS)
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    # Rest at either end belongs to the playback, because there is no evidence against it.
+    end = len(total) - 1 - int((total - np.minimum.accumulate(total))[::-1].argmax())
+    begin = int(total[: end + 1].argmin())
+    if end - begin < _RATE // 2:
+        raise _NotPlayedError
+    return slice(begin, end)

@@ -82,9 +82,7 @@ class Found(NamedTuple):
         return self.alignment.best.rmse if self.alignment.best else float("inf")
 
 
-def find_motion(
-    recorded: Iterable[Recorded], trajectory: Trajectory, *, any_speed: bool = True
-) -> Found | None:
+def find_motion(recorded: Iterable[Recorded], trajectory: Trajectory) -> Found | None:
     """Find a motion in the most informative source; None if no source can show it.
 
     Commands are used if they contain joint targets of the motion, otherwise measured joints.
@@ -93,7 +91,6 @@ def find_motion(
     Args:
         recorded: the sources, commands first.
         trajectory: the motion.
-        any_speed: as in `find_plays`.
     """
     found: list[Found] = []
     for by, published, q in recorded:
@@ -103,7 +100,7 @@ def find_motion(
         if len(rows):
             zero = int(published[rows[0]])
             times = (published[rows] - zero) / 1e9
-            one = Found(by, zero, find_plays(times, q[rows], trajectory, any_speed=any_speed))
+            one = Found(by, zero, find_plays(times, q[rows], trajectory))
             if not found and one.distance < _EXACT:
                 return one  # the others cannot be nearer by much
             found.append(one)

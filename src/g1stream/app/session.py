@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from itertools import chain
-from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -229,19 +228,14 @@ class Session(Recording):
             )
         start = min((batch.log_times[0] for batch in first.values()), default=0)
         for topic in sorted(before):
-            every = list(whole.messages(topic))
-            newest = ([one for one in every if one.log_time <= start] or every[:1])[-1]
+            found = list(whole.messages(topic))
+            newest = ([one for one in found if one.log_time <= start] or found[:1])[-1]
             first[topic] = Batch([newest.data], [start], [newest.publish_time])
         with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
-            writer.add_metadata(self.metadata)
-            if not self.closed:  # else nothing would show that its end is lost
-                writer.add_metadata({"repaired": True})
-            for name, data in self.attachments.items():
-                media_type = guess_type(name)[0] or "application/octet-stream"
-                writer.attach(name, media_type, data, self.start_ns)
-            for batches in chain([first], rounds):
-                for topic, batch in batches.items():
-                    writer.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
+            every = chain.from_iterable(one.items() for one in chain([first], rounds))
+            # Otherwise nothing would show that the end of it is lost.
+            metadata = self.metadata if self.closed else self.metadata | {"repaired": True}
+            writer.copy(metadata, self.attachments, self.start_ns, every)
         return path
 
     def to_dataframe(self, topic: str | None = None) -> pandas.DataFrame:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,11 +19,13 @@ from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.session.mcap_writer import McapWriter, max_size
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
+    from g1stream.dds.messages import Batch
     from g1stream.session.format import Channel
+    from g1stream.session.mcap_reader import Messages
     from g1stream.session.records import MotionInfo, PolicyInfo
     from g1stream.session.source import MemorySource
 
@@ -162,6 +165,27 @@ class SessionWriter:
             TypeError: a value is neither.
         """
         self._file.add_metadata(values)
+
+    def copy(
+        self,
+        metadata: Mapping[str, Any],
+        attachments: Mapping[str, bytes],
+        time_ns: int,
+        batches: Iterable[tuple[str, Batch | Messages]],
+    ) -> None:
+        """Write what another session has: messages, by topic, are written as they are read.
+
+        Args:
+            metadata: metadata of the session.
+            attachments: its attached files by name.
+            time_ns: time of the attachments, ns since the epoch.
+            batches: its messages, or others in their place.
+        """
+        self.add_metadata(metadata)
+        for name, data in attachments.items():
+            self.attach(name, guess_type(name)[0] or "application/octet-stream", data, time_ns)
+        for topic, batch in batches:
+            self.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
 
     def flush_if_due(self, now_ns: int) -> None:
         """Write the chunks that are due.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import chain
-from mimetypes import guess_type
 from pathlib import Path
 from typing import Final
 
 from g1stream.app.session import Session
+from g1stream.dds.messages import Batch
 from g1stream.files import check_not_input, complete_file
 from g1stream.session.format import CHANNEL_OF
 from g1stream.session.writer import SessionWriter
@@ -49,25 +49,27 @@ def write_attached(
     robot = session.robot
     pipeline = MessagePipeline(robot, policy=session.policy_info)
     topics = [t for t in (*_DDS_TOPICS, _LOG) if session.topics.get(t)]
-    total, done = sum(session.topics[topic] for topic in topics), 0
+    total = sum(session.topics[topic] for topic in topics)
     rounds = session.rounds(topics)
     first = next(rounds)
     start = min(batch.log_times[0] for batch in first.values())
     with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
-        writer.add_metadata(session.metadata)
-        attachments = {"robot.urdf": robot.urdf.encode()} | session.attachments
-        for name, data in attachments.items():
-            writer.attach(name, guess_type(name)[0] or "application/octet-stream", data, start)
-        for messages in pipeline.file_header(start):
-            writer.write_batch(*messages)
-        for batches in chain([first], rounds):
-            for topic, batch in batches.items():
-                writer.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
-                done += len(batch.data)
-            wire = {_DDS_TOPICS[topic]: one for topic, one in batches.items() if topic != _LOG}
-            for messages in pipeline.encode(wire):
+
+        def encoded() -> Iterator[tuple[str, Batch]]:
+            """The samples. Messages for viewers are written before them, and after each second."""
+            done = 0
+            for messages in pipeline.file_header(start):
                 writer.write_batch(*messages)
-            progress("written", done / total)
+            for batches in chain([first], rounds):
+                yield from batches.items()
+                wire = {_DDS_TOPICS[topic]: one for topic, one in batches.items() if topic != _LOG}
+                for messages in pipeline.encode(wire):
+                    writer.write_batch(*messages)
+                done += sum(len(batch.data) for batch in batches.values())
+                progress("written", done / total)
+
+        attachments = {"robot.urdf": robot.urdf.encode()} | session.attachments
+        writer.copy(session.metadata, attachments, start, encoded())
         if pipeline.base:
             writer.add_metadata({"measured_tf": pipeline.base.summary().model_dump(mode="json")})
     return path

@@ -21,9 +21,8 @@ from g1stream.extras.fit.simulation import Simulated, simulate_commands, world_s
 from g1stream.robot.dynamics import GRAVITY, STICTION_SPEED, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
-from g1stream.session.format import CHANNELS
 from g1stream.session.records import ParametersInfo, Record, StreamSummary, read_record
-from g1stream.session.source import MemorySource
+from g1stream.session.source import ExtendedSource, MemorySource
 from g1stream.text import labelled, table
 from g1stream.types import Floats
 from g1stream.view.encoders import JointStatesTemplate
@@ -373,20 +372,14 @@ def _write(
     force: bool,
 ) -> None:
     """Write the session with the simulated joints."""
-    source = MemorySource(str(session.path))
-    source.add_metadata({**session.metadata, "gap": found.model_dump(mode="json")})
-    for name, data in session.attachments.items():
-        source.attach(name, "", data, session.start_ns)
-    for topic in session.topics:
-        if topic in CHANNELS and topic != SIMULATED:
-            for one in session.messages(topic):
-                source.write(topic, one.data, one.log_time, one.publish_time)
+    added = MemorySource()
+    added.add_metadata({"gap": found.model_dump(mode="json")})
     there = ~np.isnan(simulated.tau[:, 0])
     columns = (simulated.q[there], simulated.dq[there], simulated.tau[there])
     times = recorded.published[there]
     messages = JointStatesTemplate(JOINT_NAMES, _FIELDS).encode(times, *columns)
-    source.write_batch(SIMULATED, messages, times, times)
-    Session(source).save(out, force=force)
+    added.write_batch(SIMULATED, messages, times, times)
+    Session(ExtendedSource(session.source, added)).save(out, force=force)
 
 
 def _render(found: Gap) -> str:

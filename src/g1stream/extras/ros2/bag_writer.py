@@ -8,9 +8,8 @@ that ROS tools expect. Every message keeps its log and publish time.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from mimetypes import guess_type
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -26,6 +25,7 @@ from g1stream.extras.attach.recorded_motion import FOXGLOVE
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
 from g1stream.files import complete_directory
 from g1stream.session.format import CHANNELS, Channel, encode_string
+from g1stream.session.mcap_reader import Messages
 from g1stream.session.source import METADATA_YAML, SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
@@ -61,21 +61,19 @@ def write_ros2_bag(
     source, out = SessionFiles(session), out.with_suffix("") if out.suffix == ".mcap" else out
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
         raise RecordingError(f"The output {out} contains the session.", "Choose another directory.")
-    total, done, name = max(1, sum(source.topics.values())), 0, f"{out.name}_0.mcap"
+    total, name = max(1, sum(source.topics.values())), f"{out.name}_0.mcap"
     with complete_directory(out, (METADATA_YAML, name), force=force) as place:
         path = place / name
         with SessionWriter(path, channels=_CHANNELS) as writer:
-            writer.add_metadata(source.metadata)
-            for attached, data in source.attachments().items():
-                kind = guess_type(attached)[0] or "application/octet-stream"
-                writer.attach(attached, kind, data, 0)
-            for topic, batch in source.batches(set(_OUTPUTS)):
-                output = _OUTPUTS[topic]
-                payloads = _converted(session, topic, output, batch.data)
-                times = batch.log_times, batch.publish_times
-                writer.write_batch(output.channel.topic, payloads, *times)
-                done += len(payloads)
-                on_progress(done / total)
+
+            def converted() -> Iterator[tuple[str, Messages]]:
+                for topic, batch in source.batches(set(_OUTPUTS)):
+                    output = _OUTPUTS[topic]
+                    data = _converted(session, topic, output, batch.data)
+                    yield output.channel.topic, batch._replace(data=data)
+                    on_progress(sum(writer.counts.values()) / total)
+
+            writer.copy(source.metadata, source.attachments(), 0, converted())
         _write_metadata_yaml(place, name, writer.counts, writer.log_times)
         size = path.stat().st_size
     left_out = {topic: n for topic, n in source.topics.items() if n and topic not in _OUTPUTS}

@@ -196,7 +196,7 @@ def ticks(motion: Motion) -> None:
     hanging = FeedForward(
         "dynamics", "hanging", source=source, limit=ROBOT.torque_limit, period=0.002
     )
-    hanging.begin(None)
+    hanging.begin(targets[0], None)
     taken: dict[str, list[float]] = {"hanging": [], "feet": []}
     still = np.zeros(29, np.float32)
     for target in targets:

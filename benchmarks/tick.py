@@ -62,7 +62,7 @@ def parts() -> dict[str, Callable[[int], object]]:
     def torque(support: str) -> Callable[[int], object]:
         source = HeldTorques(InverseDynamics(robot), period=PERIOD)
         feed = FeedForward("dynamics", source=source, limit=limit, period=PERIOD)
-        feed.begin(support)
+        feed.begin(target, support)
         moment = Moment(Phase.PLAY, 1.0, target, measured, 0.001)
         return lambda _: feed.command(moment)
 

@@ -16,6 +16,7 @@ from g1stream.control.lowstate import STATE_TIMEOUT, LowStateChecks
 from g1stream.control.receiver import Receiver
 from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
+from g1stream.control.sources import Source
 from g1stream.control.targets import Targets, Timing
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -162,7 +163,7 @@ def make_loop(clock, link, trajectory, robot, timing):
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         schedule = Schedule(targets, timing, 2 * MS)
-        plain = FeedForward("velocity", limit=np.full(29, 50.0), period=0.002)
+        plain = FeedForward("velocity", source=Source(), limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
             Composer(CommandLimits(robot, safety), gains, Receiver(2 * MS, 0.2)),

@@ -119,10 +119,10 @@ def test_what_a_source_tells_is_published_with_the_time_of_the_command(domain_id
     for i, step in enumerate(steps):
         step.step[()], step.observation[1023] = i, i
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link, reader = DdsLink(ours, None, MOTORS, POLICY), RawReader(theirs, POLICY, depth=10)
+        link, reader = DdsLink(ours, None, MOTORS, steps=True), RawReader(theirs, POLICY, depth=10)
         until(lambda: reader.matched, "a match")
         for i, step in enumerate(steps):
-            link.tell(POLICY, step.tobytes(), 1000 + i // 2)
+            link.tell(step.tobytes(), 1000 + i // 2)
         arrived = []
         until(lambda: arrived.extend(reader.take()) or len(arrived) == 3, "all steps")
     assert [one.data for one in arrived] == [step.tobytes() for step in steps]

@@ -9,7 +9,7 @@ from g1stream.app.rollout import rollout
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.sources import HeldTorques, Moment
+from g1stream.control.sources import HeldTorques, Moment, Traits
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Target
 from g1stream.dds.messages import LowState
@@ -18,6 +18,7 @@ from g1stream.robot.dynamics import Solution
 from g1stream.types import Phase
 
 NOW = 0.002
+HELD = Traits()
 
 
 class Model:
@@ -54,22 +55,22 @@ def target(trajectory):
 
 
 @pytest.fixture
-def made(model):
+def made(model, target):
     """A feed-forward in RAMP, of a bridge that has announced its support or has not."""
 
-    def make(announced=None, *, kind="dynamics", support="bolted", dynamics=True, **other):
-        source = HeldTorques(model, period=0.002) if dynamics else None
-        limit = np.full(29, 10.0)
+    def make(announced=None, *, kind="dynamics", support="bolted", traits=HELD, **other):
+        source, limit = HeldTorques(model, period=0.002), np.full(29, 10.0)
+        source.traits = traits
         feed = FeedForward(kind, support, source=source, limit=limit, period=0.002, **other)
-        feed.begin(announced)
+        feed.begin(target, announced)
         return feed
 
     return make
 
 
-def command(feed, target, imu, age=NOW, *, phase=Phase.PLAY, ramped=1.0):
+def command(feed, target, imu, age=NOW, *, phase=Phase.PLAY, ramped=1.0, received=0):
     """What a command carries for a target, with this reading of the IMU."""
-    measured = Reading(target.q, target.dq, target.tau, imu)
+    measured = Reading(target.q, target.dq, target.tau, imu, received=received)
     return feed.command(Moment(phase, ramped, target, measured, age))
 
 
@@ -131,24 +132,23 @@ def test_torque_is_held_at_its_limit_and_counted(made, model, target, imu):
 
 
 @pytest.mark.parametrize(
-    ("kind", "given", "announced", "dynamics", "expected"),
+    ("kind", "given", "announced", "expected"),
     [
-        (None, None, "hanging", True, ("dynamics", "hanging")),
-        (None, None, None, True, ("velocity", None)),
-        (None, "bolted", None, True, ("dynamics", "bolted")),
-        (None, None, "free", True, ("velocity", "free")),
-        (None, None, "strapped", True, ("velocity", None)),
-        (None, None, "hanging", False, ("velocity", "hanging")),
-        ("dynamics", None, "follow", True, ("dynamics", "follow")),
-        ("dynamics", None, None, True, ("velocity", None)),
-        ("dynamics", "free", "bolted", True, ("dynamics", "free")),
-        ("velocity", None, "bolted", True, ("velocity", "bolted")),
+        (None, None, "hanging", ("dynamics", "hanging")),
+        (None, None, None, ("velocity", None)),
+        (None, "bolted", None, ("dynamics", "bolted")),
+        (None, None, "free", ("velocity", "free")),
+        (None, None, "strapped", ("velocity", None)),
+        ("dynamics", None, "follow", ("dynamics", "follow")),
+        ("dynamics", None, None, ("velocity", None)),
+        ("dynamics", "free", "bolted", ("dynamics", "free")),
+        ("velocity", None, "bolted", ("velocity", "bolted")),
     ],
 )
 def test_kind_and_support_are_decided_from_what_is_known(
-    made, caplog, kind, given, announced, dynamics, expected
+    made, caplog, kind, given, announced, expected
 ):
-    feed = made(announced, kind=kind, support=given, dynamics=dynamics)
+    feed = made(announced, kind=kind, support=given)
     assert (feed.kind, feed.support) == expected
     wanted = kind == "dynamics" and expected[0] == "velocity"
     contradicted = expected[0] == "dynamics" and given and announced and given != announced
@@ -246,9 +246,9 @@ def test_the_preview_depends_on_the_bridge(made, announced, given, preview):
     assert made(announced, preview=given).preview == preview
 
 
-def test_what_a_policy_observes_is_the_reference_of_a_tick(made, monkeypatch):
-    monkeypatch.setattr(HeldTorques, "reference_only", True)
-    assert made(None, preview=0.0031).preview == pytest.approx(0.004)
+def test_what_a_policy_observes_is_the_reference_of_a_tick(made):
+    feed = made(None, preview=0.0031, traits=Traits(observes=True))
+    assert feed.preview == pytest.approx(0.004)
 
 
 @pytest.mark.slow
@@ -280,9 +280,8 @@ def test_under_the_robots_own_controller_the_measured_attitude_decides(
     rng = np.random.default_rng(1)
     for tick in range(2000):  # a robot that walks contradicts no support
         walking = imu._replace(gyroscope=rng.normal(size=3).astype(np.float32))
-        joints = target.q, target.dq, target.tau
-        feed.observe(Phase.PLAY, Reading(*joints, walking, received=2_000_000 * tick))
-    assert command(feed, target, tilted).tau.any()
+        asked = command(feed, target, walking, received=2_000_000 * tick)
+    assert asked.tau.tolist() == model.tau.tolist()
     assert [level for level, _ in events()] == [logging.INFO]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.sources import HeldTorques
+from g1stream.control.sources import HeldTorques, Source
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
@@ -100,8 +100,11 @@ def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
         assert not sent.command.tau.any()
 
 
-def feedforward(kind, *args, **other):
-    return FeedForward(kind, *args, limit=np.full(29, 50.0), period=0.002, **other)
+PLAIN = Source()
+
+
+def feedforward(kind, *args, source=PLAIN, **other):
+    return FeedForward(kind, *args, source=source, limit=np.full(29, 50.0), period=0.002, **other)
 
 
 @pytest.mark.parametrize("preview", [0.002, 0.05])
@@ -246,13 +249,17 @@ class Awaiting(HeldTorques):
 
     awaited = "the robot is not there"
 
+    @property
+    def status(self):
+        return super().status._replace(awaited=self.awaited)
+
 
 def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loop, link, events):
     source = Awaiting(ConstantTorque(), period=0.002)
     link.announced = "bolted"
 
     def come(i):
-        source.awaited = "" if i >= 200 else Awaiting.awaited
+        source.awaited = "" if i >= 199 else Awaiting.awaited
 
     link.on_send = come
     loop = make_loop(feedforward=feedforward("dynamics", "bolted", source=source))

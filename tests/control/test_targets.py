@@ -22,7 +22,7 @@ class Asked:
 
     @property
     def first(self):
-        return self._schedule.first
+        return self._schedule.targets.first
 
     def begin(self, q):
         self._schedule.begin_ramp(q)

@@ -101,7 +101,7 @@ def rollout(
     config = _resolve(config, support, feedforward, seconds, joints, {"kp": kp, "kd": kd})
     planned = plan(motion, config, simulated=True)
     robot = planned.robot
-    pipeline = MessagePipeline(robot, config.record, planned.source.about())
+    pipeline = MessagePipeline(robot, config.record, planned.source.traits.about)
     simulated = SimulatedRobot(
         make_world(robot, config.sim),
         config.sim,

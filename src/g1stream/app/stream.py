@@ -108,8 +108,8 @@ def stream(
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant, planned)
-        told = planned.source.tells
-        link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, told)
+        steps = planned.source.traits.about is not None
+        link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, steps=steps)
         events = dds_log_handler(participant, "stream")
         loop = make_loop(planned, link, clock)
         if on_loop:

@@ -199,7 +199,7 @@ class NextCommand:
     ) -> None:
         self.composer, self.feedforward = composer, feedforward
         self.prepared: Prepared | None = None
-        self.last = schedule.first.at_rest()
+        self.last = schedule.targets.first.at_rest()
         self._schedule = schedule
         self._period = period
         self._soft_start = soft_start
@@ -216,7 +216,7 @@ class NextCommand:
 
     def begin(self, measured: Reading, support: str | None, model: str | None) -> None:
         """Begin RAMP of a robot that announces its support and model; None if it does not."""
-        self.feedforward.begin(support, model)
+        self.feedforward.begin(self._schedule.targets.first, support, model)
         self._ramp_from(measured)
         if self._soft_start:
             self._soft_until = self._schedule.state.since + self._soft_start
@@ -225,7 +225,6 @@ class NextCommand:
     def _ramp_from(self, measured: Reading) -> None:
         self.composer.begin(measured.q, measured.mode_machine)
         self._schedule.begin_ramp(measured.q)
-        self.feedforward.source.ramp_to(self._schedule.first)
 
     def continue_soft_start(self, deadline: int, measured: Reading | None) -> None:
         """Restart RAMP from the measured pose at every tick of the soft start, if there is one."""
@@ -260,7 +259,7 @@ class NextCommand:
             )
             commanded = feedforward.command(moment)
             # The message of a command that is replaced before it is sent goes with the next one.
-            if told := feedforward.source.told():
+            if told := feedforward.status.told:
                 self._told = (*self._told, told)
         self.compose(due, commanded, deadline, measured)
 

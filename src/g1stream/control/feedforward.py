@@ -12,7 +12,7 @@ import numpy as np
 
 from g1stream.control.reading import STALE, all_finite, is_unit
 from g1stream.control.robot_time import TimeScale
-from g1stream.control.sources import Source
+from g1stream.control.sources import Status
 from g1stream.control.stop import Stop
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
@@ -21,7 +21,7 @@ from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, 
 
 if TYPE_CHECKING:
     from g1stream.control.reading import ImuReading, Reading
-    from g1stream.control.sources import Moment
+    from g1stream.control.sources import Moment, Source
     from g1stream.control.targets import Target
 
 __all__ = ["FeedForward"]
@@ -49,7 +49,7 @@ class FeedForward:
         kind: feed-forward of commands; None: `dynamics` if the bridge announces its support,
             otherwise `velocity`.
         support: how the robot is held; None: as the bridge announces.
-        source: computes torques for `dynamics`; None: no torques.
+        source: computes torques for `dynamics`.
         limit: (29,) N·m, the largest torque in either direction; 0 for joints without torque.
         period: time between commands, s.
         preview: time by which the target of a command is ahead of its publish time, s, because it
@@ -63,8 +63,9 @@ class FeedForward:
             torque of the source is divided by it.
 
     Attributes:
-        kind, support: as decided when RAMP begins; None before.
-        source: the source in use. Before RAMP, and without torques, it does not change targets.
+        kind, support: as decided when RAMP begins; None before. `kind` is None for a source that
+            observes the motion.
+        status: of the source after the newest command.
         preview: as decided, s; 0 before RAMP begins.
         scale: the measured time scale; None if it is given.
         saturated: (29,) int64, ticks at which each joint's torque was at its limit.
@@ -76,7 +77,7 @@ class FeedForward:
         kind: FeedForwardKind | None,
         support: StreamSupport | None = None,
         *,
-        source: Source | None = None,
+        source: Source,
         limit: Floats,
         period: float,
         preview: float | None = 0.0,
@@ -87,12 +88,12 @@ class FeedForward:
     ) -> None:
         self.kind: FeedForwardKind | None = None
         self.support: StreamSupport | None = None
-        self.source = Source()
+        self.status = Status()
         self.preview = 0.0
         self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
-        self._asked, self._told_support, self._torques = kind, support, source
+        self._asked, self._told_support, self._source = kind, support, source
         self._told_preview, self._told_scale = preview, time_scale or 1.0
         self._carried = carried
         self._delay, self._torque_scale = delay, torque_scale
@@ -104,15 +105,16 @@ class FeedForward:
 
     def stop(self) -> Stop | None:
         """Why the robot has to be damped, or None."""
-        fall = self.source.fall
-        if not fall and self.source.needed and self._fault:
+        fall = self.status.fall
+        if not fall and self._source.traits.way_down and self._fault:
             fall = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
         return Stop("fall", fall) if fall else None
 
-    def begin(self, announced: str | None, robot: str | None = None) -> None:
+    def begin(self, first: Target, announced: str | None, robot: str | None = None) -> None:
         """Choose kind, support and preview, and log the choice.
 
         Args:
+            first: the first target of PLAY.
             announced: the support that the bridge announces; None if it does not.
             robot: the name of the robot that it announces; None if it does not.
 
@@ -124,8 +126,8 @@ class FeedForward:
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
-        observed = self._torques is not None and self._torques.reference_only
-        if observed:  # the target is observed, and must be the Reference of a later tick
+        observes = self._source.traits.observes
+        if observes:  # the target is observed, and must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
         self.kind, self.support = self._asked, self._told_support
         known: object = announced
@@ -134,22 +136,24 @@ class FeedForward:
                 (one for one in get_args(Support) if one == announced), None
             )
             # Only the model of the extra `feet` includes ground contact.
-            known = self.support not in (None, "free") or (self._torques and self._torques.needed)
+            known = self.support not in (None, "free") or self._source.traits.way_down
         held = "bolted" if self._carried else self.support
         if self.kind is None:
-            self.kind = "dynamics" if known and self._torques else "velocity"
+            self.kind = "dynamics" if known else "velocity"
         lacks = ""
-        if self.kind == "dynamics" and not (self._torques and held):
+        if self.kind == "dynamics" and not held:
             self.kind, lacks = "velocity", " only: the support is unknown; give --support"
         elif self.kind != "dynamics" and self._carried:
             lacks = " only: joints sag under their weight; use --feedforward dynamics"
         text = f"dynamics, support {held}" if self.kind == "dynamics" else str(self.kind)
-        if not observed:  # a policy gives no torque
-            level = logging.WARNING if lacks else logging.INFO
-            _LOGGER.log(level, "feed-forward: %s%s", text, lacks)
-        if self.kind == "dynamics" and self._torques and held:
-            self.source = self._torques
-            self.source.begin(held, held if self._carried else announced, robot)
+        if self.kind == "dynamics" and held:
+            self._source.begin(first, held, held if self._carried else announced, robot)
+            self.status = self._source.status
+        if observes:  # it gives no torque
+            self.kind = None
+            return
+        level = logging.WARNING if lacks else logging.INFO
+        _LOGGER.log(level, "feed-forward: %s%s", text, lacks)
 
     @property
     def time_scale(self) -> float:
@@ -160,24 +164,23 @@ class FeedForward:
         """Process a new LowState; `phase` is the phase of the newest command."""
         if self.scale and Phase.WAIT < phase < Phase.DAMP:
             self.scale.add(measured)
-        self.source.observe(phase, measured, self.time_scale)
 
     def command(self, moment: Moment) -> Target:
         """The target with the dq and tau of its command."""
-        target = moment.target
+        target, observes = moment.target, self._source.traits.observes
         if self.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
-        if not self.source.own_time:
+        if not observes:
             target = target.slowed(self.time_scale)
-        if self.kind != "dynamics":
+        if self.kind == "velocity":
             return target
         # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
-        age = 0.0 if self.source.own_time else moment.age
-        fault = self.source.fault or _find_fault(moment.measured.imu, age)
-        if fault:
-            target = self.source.repeated(target)
-        else:
-            target = self.source.command(moment._replace(target=target))
+        age = 0.0 if observes else moment.age
+        fault = self.status.fault or _find_fault(moment.measured.imu, age)
+        moment = moment._replace(target=target, scale=self.time_scale, fault=fault)
+        target = self._source.command(moment)
+        self.status = self._source.status
+        if not fault:
             self._tau = target.tau / self._torque_scale
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))

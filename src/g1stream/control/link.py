@@ -10,7 +10,7 @@ from g1stream.control.stop import Stop
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import LOWSTATE, REFERENCE, Topic
+from g1stream.dds.messages import LOWSTATE, POLICY, REFERENCE, Topic
 from g1stream.dds.ticks import TickGaps
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ __all__ = ["DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled; 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
-#: Messages of a source with one command.
-_TOLD_DEPTH: Final = 8
+#: Steps of a policy with one command.
+_STEPS_DEPTH: Final = 8
 #: Time in which a second publisher of LowState may prove to be silent, s. DDS announces a killed
 #: publisher for some time, although it publishes nothing.
 _SECOND_PUBLISHER: Final = 2.0
@@ -64,8 +64,8 @@ class Link(Protocol):
             When the LowCmd was written, ns of CLOCK_MONOTONIC; 0 if the write failed.
         """
 
-    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
-        """Publish a source's message about the last LowCmd, with the publish time of the LowCmd."""
+    def tell(self, data: bytes, stamp: int) -> None:
+        """Publish a step of a policy, with the publish time of the last LowCmd."""
 
     def unready(self) -> str:
         """Why the first command has to wait for the guard process or for LowStates, or ""."""
@@ -83,7 +83,7 @@ class DdsLink:
         participant: the DDS participant.
         heartbeat: heartbeat of the guard process; None without a guard.
         receiver: the receiver of the commands.
-        told: topic of a source's messages about commands; None without messages.
+        steps: also publish the steps of a policy.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class DdsLink:
         participant: Participant,
         heartbeat: Heartbeat | None,
         receiver: Receiver,
-        told: Topic | None = None,
+        steps: bool = False,
     ) -> None:
         self._participant = participant
         self._heartbeat = heartbeat
@@ -99,7 +99,7 @@ class DdsLink:
         self._commands = RawWriter(participant, self._topic, user_data=IDLE)
         self._idle = True
         self._references = RawWriter(participant, REFERENCE)
-        self._told = RawWriter(participant, told, depth=_TOLD_DEPTH) if told else None
+        self._steps = RawWriter(participant, POLICY, depth=_STEPS_DEPTH) if steps else None
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, self._topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
@@ -188,9 +188,9 @@ class DdsLink:
         self._references.write(reference, stamp)
         return written
 
-    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
-        if self._told:
-            self._told.write(data, stamp)
+    def tell(self, data: bytes, stamp: int) -> None:
+        if self._steps:
+            self._steps.write(data, stamp)
 
     def _write(self, command: bytes, stamp: int) -> int:
         if not self._commands.write(command, stamp):

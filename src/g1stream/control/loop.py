@@ -62,6 +62,7 @@ class StreamLoop:
         checks: checks of received LowStates.
         overruns: counts the ticks that the loop misses.
         period: time between commands, ns.
+        in_robot_time: the motion follows the robot's time, not the clock.
         allow_second_writer: play even if there is another publisher of LowCmd.
         where: DDS domain and network of the robot, for log messages.
 
@@ -81,6 +82,7 @@ class StreamLoop:
         overruns: Overruns,
         *,
         period: int,
+        in_robot_time: bool = False,
         allow_second_writer: bool = False,
         where: str = "",
     ) -> None:
@@ -97,7 +99,7 @@ class StreamLoop:
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
         self._where, self._next_told = where, _TOLD
-        self._robot_time = RobotTime()
+        self._in_robot_time, self._robot_time = in_robot_time, RobotTime()
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
@@ -131,7 +133,7 @@ class StreamLoop:
     @property
     def part(self) -> tuple[float, float]:
         """Motion times at which PLAY begins and ends, s; infinity if it has no end."""
-        start, length = self._schedule.first.motion_time, self._schedule.play
+        start, length = self._schedule.targets.first.motion_time, self._schedule.timing.play
         return start, inf if length is None else start + length / 1e9
 
     def request_stop(self, reason: str | Stop) -> None:
@@ -220,7 +222,7 @@ class StreamLoop:
                 self._stop = self._stop or stalled
             delay = max(0, gap - max(0, _CATCH_UP - self._period))
             self._schedule.delay(delay)
-            if self._feedforward.source.own_time:
+            if self._in_robot_time:
                 self._robot_time.delay += delay
             else:
                 self.report.delay += delay
@@ -237,9 +239,8 @@ class StreamLoop:
         written = self._link.send(prepared.command, prepared.reference, stamp)
         if not written:
             return
-        if prepared.told and (topic := self._feedforward.source.tells):
-            for data in prepared.told:
-                self._link.tell(topic, data, stamp)
+        for data in prepared.told:
+            self._link.tell(data, stamp)
         report = self.report
         self.damped = self.state.phase is Phase.DAMP
         report.lateness.add(written - deadline)
@@ -272,10 +273,9 @@ class StreamLoop:
         if self._requested:
             self._end_as_requested(deadline, self._requested)
         before = self.state
-        source = self._feedforward.source
         if before.phase is Phase.RAMP:
-            self._schedule.wait_in_ramp(deadline, source.awaited)
-        elif source.own_time and before.phase in (Phase.PLAY, Phase.HOLD):
+            self._schedule.wait_in_ramp(deadline, self._feedforward.status.awaited)
+        elif self._in_robot_time and before.phase in (Phase.PLAY, Phase.HOLD):
             self._schedule.delay(self._robot_time.wait(now))
             self.report.waited = self._robot_time.delay
         unknown = self._robot_unknown(now)
@@ -284,7 +284,7 @@ class StreamLoop:
             missing = unknown or self._checks.missing or self._no_subscriber()
             if missing and before.elapsed(now) >= self._next_told:
                 self._next_told = before.elapsed(now) + _TOLD_AGAIN
-                longest = self._schedule.wait / 1e9
+                longest = self._schedule.timing.wait / 1e9
                 _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
         stop = self._reason_to_stop(now, unknown)
         if stop and before.phase < Phase.DAMP:  # commands of the guard look like another writer
@@ -306,7 +306,7 @@ class StreamLoop:
             deadline,
             requested,
             self._commands.last,
-            stands=self._feedforward.source.stands,
+            stands=self._feedforward.status.stands,
         ):
             self._stop = self._stop or requested
 
@@ -388,7 +388,7 @@ class StreamLoop:
         """Damp for the configured time, then raise the first error of that time."""
         self._commands.composer.damp()  # the loop may have failed between DAMP and its gains
         failure: BaseException | None = None
-        for _ in range(-(-self._schedule.damp // self._period)):
+        for _ in range(-(-self._schedule.timing.damp // self._period)):
             try:
                 self._clock.sleep_until(deadline)
                 self._commands.compose(target, target, deadline, self._measured)
@@ -416,28 +416,22 @@ def make_loop(
         ConfigError: the margin to the limits leaves no range for a joint, or a setting is not a
             button of the remote.
     """
-    config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
-    period, receiver = settings.period, plan.receiver
-    limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=source.in_steps)
+    config, settings, robot = plan.config, plan.config.stream, plan.robot
+    period, receiver, traits = settings.period, plan.receiver, plan.source.traits
+    limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=traits.observes)
     commanded = robot.present & receiver.joints
     composer = Composer(limits, plan.gains, receiver, plan.played, commanded)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
-    if way_down := source.way_down:
+    if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)
-        timing = replace(timing, hold=hold, way_down=round(1e9 * way_down.length))
-    targets = Targets(
-        plan.trajectory,
-        start=plan.interval.start,
-        # A source with a way down has already changed the motion of the other joints.
-        played=None if way_down else plan.played,
-        lift=source.lift,
-        way_down=way_down,
-    )
+        timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
+    start, played = plan.interval.start, plan.played
+    targets = Targets(plan.trajectory, start=start, played=played, way_down=down)
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
         settings.feedforward,
-        settings.support or source.support,
-        source=source,
+        settings.support or traits.support,
+        source=plan.source,
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,
         preview=settings.preview,
@@ -461,6 +455,7 @@ def make_loop(
         LowStateChecks(robot, config.safety, config.constants, period, plan.held),
         Overruns(period, config.safety, config.constants),
         period=period,
+        in_robot_time=traits.observes,
         allow_second_writer=config.safety.allow_second_writer,
         where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

@@ -79,7 +79,7 @@ class Plan:
     def session_info(self) -> SessionInfo:
         """The metadata of a session file before its first sample."""
         return SessionInfo.from_config(
-            self.config, self.robot, self.motion, self.gains._asdict(), self.source.about()
+            self.config, self.robot, self.motion, self.gains._asdict(), self.source.traits.about
         )
 
     def log_events(self) -> None:
@@ -115,8 +115,8 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     source = load_source(config, robot, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    motion, changed = source.change(motion)
-    asked, commanded = config, not source.reference_only
+    motion, changed = source.prepare(motion)
+    asked, commanded = config, not source.traits.observes
     if not commanded:
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
         asked = config.model_copy(update={"stream": whole})
@@ -128,7 +128,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         interval=fit.interval,
         slowed=fit.slowed,
         receiver=receiver,
-        gains=source.gains or gains_in_play(config, robot),
+        gains=source.traits.gains or gains_in_play(config, robot),
         played=played,
         held=held,
         source=source,

@@ -13,7 +13,7 @@ from g1stream.control.lowstate import state_timeout
 from g1stream.control.stop import Stop
 from g1stream.control.tracking_error import RunningError
 from g1stream.robot.joints import by_joint
-from g1stream.session.records import Percentiles, StreamSummary
+from g1stream.session.records import BalanceSummary, Percentiles, StreamSummary
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class LoopReport:
     def summary(self, **about: Any) -> StreamSummary:
         """The counters as a record for output and files; `about` has the remaining fields."""
         late, ramp, feed = self.lateness, self.schedule.ramp, self.feedforward
-        kind = None if feed.source.reference_only else feed.kind
+        status = feed.status
         percentiles = None
         if late.n:
             p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
@@ -146,12 +146,12 @@ class LoopReport:
             speed_limited_ticks=by_joint(self.limits.speed.limited.tolist()),
             torque_limited_ticks=by_joint(self.limits.torque.limited.tolist()),
             saturated_ticks=by_joint(feed.saturated.tolist()),
-            feedforward=kind,
+            feedforward=feed.kind,
             support=feed.support,
-            preview_s=feed.preview if kind else None,
+            preview_s=feed.preview if feed.kind else None,
             feedforward_changes=feed.changes,
-            balance=feed.source.summary,
-            robot=feed.source.name,
+            balance=BalanceSummary.model_validate(status.margins) if status.margins else None,
+            robot=status.robot,
             time_scale=feed.scale.median if feed.scale else None,
             states_used=self.states,
             states_wrong_crc=self.checks.crc_errors,

@@ -110,6 +110,8 @@ class Schedule:
         ramp_speed: maximum joint speed on the way to the first frame, rad/s.
 
     Attributes:
+        targets: as given.
+        timing: length of each phase, as far as it is known.
         state: the current phase; it can be set.
         delayed: total delay of the phases so far.
         ramp: the way to the first frame; None until RAMP begins.
@@ -118,8 +120,7 @@ class Schedule:
     def __init__(
         self, targets: Targets, timing: Timing, period: int, ramp_speed: float = inf
     ) -> None:
-        self._targets = targets
-        self._timing = timing
+        self.targets, self.timing = targets, timing
         self._period = period
         self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
         self._told = -_TOLD_AGAIN  # time in RAMP of the last log message about waiting
@@ -127,29 +128,9 @@ class Schedule:
         self.delayed = 0
         self.ramp: Ramp | None = None
 
-    @property
-    def first(self) -> Target:
-        """The first target of PLAY."""
-        return self._targets.first
-
-    @property
-    def play(self) -> int | None:
-        """Length of PLAY; None if it has no end."""
-        return self._timing.play
-
-    @property
-    def wait(self) -> int:
-        """Maximum length of WAIT."""
-        return self._timing.wait
-
-    @property
-    def damp(self) -> int:
-        """Length of DAMP."""
-        return self._timing.damp
-
     def advance(self, now: int, inputs: Inputs) -> None:
         """Advance to the phase at `now`."""
-        self.state = step(now, self.state, inputs, self._timing)
+        self.state = step(now, self.state, inputs, self.timing)
 
     def delay(self, gap: int) -> None:
         """Extend the current phase by `gap`."""
@@ -159,21 +140,21 @@ class Schedule:
 
     def begin_ramp(self, q: NDArray[np.floating]) -> None:
         """Begin RAMP at the measured pose `q` (29,), rad."""
-        distance = self._targets.begin(q)
+        distance = self.targets.begin(q)
         self.ramp = Ramp.for_distance(distance, self._least_ramp, self._ramp_speed)
-        self._timing = replace(self._timing, ramp=self.ramp.length, awaited=0)
+        self.timing = replace(self.timing, ramp=self.ramp.length, awaited=0)
         self._told = -_TOLD_AGAIN
 
     def wait_in_ramp(self, now: int, awaited: str) -> None:
         """Extend RAMP at the first frame while it waits for `awaited`; "" ends the waiting."""
         elapsed = self.state.elapsed(now)
-        longer = elapsed + self._period + COAST_NS - self._timing.ramp
-        if not awaited or self.state.stop or longer <= self._timing.awaited:
+        longer = elapsed + self._period + COAST_NS - self.timing.ramp
+        if not awaited or self.state.stop or longer <= self.timing.awaited:
             return
         if elapsed >= self._told + _TOLD_AGAIN:
             self._told = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
-        self._timing = replace(self._timing, awaited=longer)
+        self.timing = replace(self.timing, awaited=longer)
 
     def go_down(self, now: int, stop: Stop, last: Target, *, stands: bool) -> bool:
         """End with the way down, as soon as it is possible; False if there is none.
@@ -187,16 +168,16 @@ class Schedule:
             last: the newest target.
             stands: whether the robot is already on its feet in RAMP.
         """
-        state, way_down = self.state, self._targets.way_down
+        state, way_down = self.state, self.targets.way_down
         phases = (Phase.RAMP, Phase.PLAY, Phase.HOLD) if stands else (Phase.PLAY, Phase.HOLD)
         if way_down is None or state.phase not in phases:
             return bool(state.stop)
         if not state.stop and way_down.possible(last):
-            play, elapsed = self._timing.play or 0, state.elapsed(now)
+            play, elapsed = self.timing.play or 0, state.elapsed(now)
             if state.phase is not Phase.HOLD:
                 play, elapsed = elapsed if state.phase is Phase.PLAY else 0, 0
-            hold = min(self._timing.hold, max(elapsed, COAST_NS))
-            self._timing = replace(self._timing, play=play, hold=hold)
+            hold = min(self.timing.hold, max(elapsed, COAST_NS))
+            self.timing = replace(self.timing, play=play, hold=hold)
             self.state = replace(state, stop=stop)
         return True
 
@@ -204,14 +185,14 @@ class Schedule:
         """Progress of the ramp as a share of its time, 0 to 1; 1 in other phases."""
         if self.state.phase is not Phase.RAMP:
             return 1.0
-        return min(1.0, self.state.elapsed(now) / self._timing.ramp)
+        return min(1.0, self.state.elapsed(now) / self.timing.ramp)
 
     def target(self, now: int, last: Target) -> Target:
         """The target at a time in the current phase; `last` is the previous target."""
-        return self._targets.at(self.state.phase, self.state.elapsed(now), self._timing, last)
+        return self.targets.at(self.state.phase, self.state.elapsed(now), self.timing, last)
 
     def target_ahead(self, then: int, last: Target) -> Target:
         """The target at a later time, in the phase of that time if the session continues."""
-        endless = replace(self._timing, way_down=_FOREVER)
+        endless = replace(self.timing, way_down=_FOREVER)
         state = step(then, self.state, Inputs(), endless)
-        return self._targets.at(state.phase, state.elapsed(then), self._timing, last)
+        return self.targets.at(state.phase, state.elapsed(then), self.timing, last)

@@ -7,7 +7,9 @@ rest is pure.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -23,11 +25,10 @@ if TYPE_CHECKING:
     from g1stream.control.gains import Gains
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Target, WayDown
-    from g1stream.dds.messages import Topic
     from g1stream.motion.motion import Motion
-    from g1stream.session.records import BalanceSummary, PolicyInfo
+    from g1stream.session.records import PolicyInfo
 
-__all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
+__all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "Status", "Traits", "load_source"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -54,6 +55,8 @@ class Moment(NamedTuple):
             waits.
         tick: number of the Reference that is published with the command.
         clock: returns the time, ns of the clock of `measured.received`, to measure durations.
+        scale: ratio of simulated to real time.
+        fault: why nothing can be computed from `measured`, or "".
     """
 
     phase: Phase
@@ -64,72 +67,65 @@ class Moment(NamedTuple):
     time: float = 0.0
     tick: int = 0
     clock: Callable[[], int] = lambda: 0
+    scale: float = 1.0
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What does not change during a run.
+
+    Attributes:
+        gains: gains for the targets; None: those of the config.
+        support: default support of the robot; None: as the bridge announces.
+        way_down: motion with which HOLD ends, of a robot on its own feet. It falls without the
+            source, so the run ends when the torque has faded out. None: the robot is held.
+        observes: the motion is not commanded, but an input. `prepare` returns the part that the
+            settings select, and its limits are not checked. It follows the robot's time, and waits
+            while a simulator stalls. Targets are computed at a lower rate, for their torque.
+        about: metadata of the policy that computes the targets; None without a policy.
+    """
+
+    gains: Gains | None = None
+    support: StreamSupport | None = None
+    way_down: WayDown | None = None
+    observes: bool = False
+    about: PolicyInfo | None = None
+
+
+class Status(NamedTuple):
+    """What a source knows of the robot after its newest command.
+
+    Attributes:
+        fall: why the robot has to be damped immediately, or "".
+        fault: why the torque is wrong and has to fade out, or "".
+        awaited: the event that RAMP waits for; "" if it need not wait.
+        stands: the robot is already on its feet in RAMP, so that it can go down from there.
+        told: the newest step of a policy, as it is published with the command; b"" without a step.
+        robot: name of the robot's model; None without a model.
+        margins: fields of `BalanceSummary`; empty for a robot that is held.
+    """
+
+    fall: str = ""
+    fault: str = ""
+    awaited: str = ""
+    stands: bool = False
+    told: bytes = b""
+    robot: str | None = None
+    margins: Mapping[str, float] = MappingProxyType({})
 
 
 class Source:
     """Adds torque to the target of each command, or replaces it; the base class changes nothing.
 
     A source is made for one run before anything is sent. It raises an error if it cannot fulfil the
-    settings. `change` is called once, then `begin` once, then in each tick `observe` for the newest
-    LowState and `command` for the command of the next tick. All calls are in the loop's thread.
-    `command` may compute at a lower rate, and return the same target in between. Its result is kept
-    within the limits. The target passed to `command` is ahead by the preview; the Reference has
-    that of its own tick.
-
-    Attributes:
-        gains: gains for the targets of this source; None: those of the config.
-        needed: the robot falls without this torque, so the run ends when it has faded out.
-        support: default support of the robot; None: as the bridge announces.
-        lift: height of the pelvis above its target when RAMP begins, m.
-        in_steps: targets are computed at a lower rate than commands, for their torque.
-        way_down: motion with which HOLD ends; None: no motion.
-        own_time: the motion follows the robot's time, and waits while a simulator stalls.
-        reference_only: the motion is not commanded directly, so its limits are not checked;
-            `change` returns the part of it that the settings select.
-        tells: topic of the source's messages about its commands; None without messages.
+    settings. `prepare` is called once, then `begin` once, then `command` in each tick, in the
+    loop's thread.
     """
 
-    gains: Gains | None = None
-    needed: bool = False
-    support: StreamSupport | None = None
-    lift: float = 0.0
-    in_steps: bool = False
-    way_down: WayDown | None = None
-    own_time: bool = False
-    reference_only: bool = False
-    tells: Topic | None = None
+    traits: Traits = Traits()
 
-    @property
-    def name(self) -> str | None:
-        """Name of the robot's model; None without a model."""
-        return None
-
-    @property
-    def fault(self) -> str:
-        """Why this torque is wrong and has to fade out, or ""."""
-        return ""
-
-    @property
-    def fall(self) -> str:
-        """Why the robot has to be damped immediately, or ""."""
-        return ""
-
-    @property
-    def awaited(self) -> str:
-        """The event that RAMP waits for; "" if it need not wait."""
-        return ""
-
-    @property
-    def stands(self) -> bool:
-        """Whether the robot is already on its feet in RAMP, so that it can go down from there."""
-        return False
-
-    @property
-    def summary(self) -> BalanceSummary | None:
-        """Balance margins of a robot on its feet; None for a robot that is held."""
-        return None
-
-    def change(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> tuple[Motion, str]:
         """Adapt the motion for this source, before its limits are checked.
 
         Returns:
@@ -141,10 +137,13 @@ class Source:
         """
         return motion, ""
 
-    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+    def begin(
+        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
+    ) -> None:
         """Prepare for the support of the robot when RAMP begins.
 
         Args:
+            first: the first target of PLAY.
             support: how the robot is held.
             announced: the support that the bridge announces; None if it does not.
             robot: the name of the robot that the bridge announces; None if it does not.
@@ -153,30 +152,19 @@ class Source:
             ConfigError: there is no torque for this support.
         """
 
-    def ramp_to(self, first: Target) -> None:
-        """Prepare for a RAMP, or a restarted RAMP, to the first target of PLAY."""
-
-    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
-        """Process a LowState; `scale` is the ratio of simulated to real time."""
-
     def command(self, moment: Moment) -> Target:
-        """The target of a command, with feed-forward torque, which is added to the servos'."""
+        """The target of a command, with feed-forward torque, which is added to the servos'.
+
+        It may compute at a lower rate, and return the same target in between. The result is kept
+        within the limits. The given target is ahead by the preview; the Reference has that of its
+        own tick. While there is a fault, the torque of the last command without one fades out.
+        """
         return moment.target
 
-    def repeated(self, target: Target) -> Target:
-        """The target of a command, without torque, if nothing new can be computed."""
-        return target
-
-    def told(self) -> bytes:
-        """A message on the topic `tells` about the computation since the last call, or b"".
-
-        It is published with the command that resulted from the computation.
-        """
-        return b""
-
-    def about(self) -> PolicyInfo | None:
-        """Metadata of the policy that computes the targets; None without a policy."""
-        return None
+    @property
+    def status(self) -> Status:
+        """What is known after the newest command, or after `begin`."""
+        return Status()
 
 
 def load_source(config: Config, robot: G1, *, simulated: bool) -> Source:
@@ -233,29 +221,24 @@ class HeldTorques(Source):
         self._dynamics, self._alternative = dynamics, alternative
         self._period = period
         self._support: Support = "bolted"
-        self._trusted = False
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
-        self._expected_rate = np.zeros(3)
+        self._before: Moment | None = None
 
     @property
-    def name(self) -> str:
-        return self._dynamics.name
+    def status(self) -> Status:
+        fault = ""
+        if self._check and self._check.wrong:
+            fault = f"the robot does not move as with support {self._support}; correct --support"
+        return Status(fault=fault, robot=self._dynamics.name)
 
-    @property
-    def fault(self) -> str:
-        """Why the robot cannot be held as assumed, or ""."""
-        wrong = self._check and self._check.wrong
-        support = self._support
-        return (
-            f"the robot does not move as with support {support}; correct --support" if wrong else ""
-        )
-
-    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+    def begin(
+        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
+    ) -> None:
         if support == "feet":
             raise ValueError("support feet needs the source of the extra `feet`")
-        self._support, self._trusted = support, support == announced
-        if announced and not self._trusted:
+        self._support = support
+        if announced not in (None, support):
             _LOGGER.warning(
                 "the bridge announces support %s, not %s: tracking with a wrong support is worse "
                 "than without feed-forward",
@@ -265,20 +248,26 @@ class HeldTorques(Source):
         if self._alternative and robot == self._alternative.name:
             self._dynamics = self._alternative
         elif self._alternative and robot is None:
-            _LOGGER.info("feed-forward: robot %s, assumed; --robot names another", self.name)
+            name = self._dynamics.name
+            _LOGGER.info("feed-forward: robot %s, assumed; --robot names another", name)
         # A support that the bridge announces needs no check.
-        self._check = None if self._trusted else SupportCheck(self._dynamics, support)
+        self._check = None if support == announced else SupportCheck(self._dynamics, support)
         if support == "hanging":
             self._observer = ForceObserver(self._dynamics, self._period)
 
-    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
-        if self._check and phase is Phase.PLAY:
-            self._check.add(measured, self._expected_rate, scale)
-
     def command(self, moment: Moment) -> Target:
         target, measured, dynamics = moment.target, moment.measured, self._dynamics
+        before, self._before = self._before, moment
+        if (
+            self._check
+            and before
+            and before.phase is Phase.PLAY
+            and measured is not before.measured
+        ):
+            self._check.add(measured, before.target.root_ang_vel, moment.scale)
+        if moment.fault:
+            return target
         imu = measured.imu
-        self._expected_rate = target.root_ang_vel
         if self._support == "follow":
             base = BaseMotion(
                 target.root_quat_wxyz, target.root_ang_vel, target.root_lin_acc, target.root_ang_acc

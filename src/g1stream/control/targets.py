@@ -27,6 +27,10 @@ __all__ = ["COAST_NS", "LOWERED", "Ramp", "Target", "Targets", "Timing", "WayDow
 LOWERED: Final = 0.9
 """Share of RAMP in which a lifted pelvis is lowered."""
 
+#: Height of a lifted pelvis above its target, m; the length of a leg differs by less between
+#: stretched and lowest squat.
+_LIFT: Final = 0.4
+
 COAST_NS: Final = round(COAST * 1e9)
 """Time, ns, in which the velocity rises at the end of RAMP, and falls to zero in HOLD."""
 
@@ -208,9 +212,9 @@ class Targets:
         start: motion time at which PLAY begins, s.
         played: (29,) joints that play the motion, None: all; the others keep the pose from which
             RAMP starts.
-        lift: height of the pelvis above its target when RAMP begins, m. A simulator that holds the
-            pelvis there lowers the robot onto its feet during RAMP.
-        way_down: motion with which HOLD ends; None: no motion.
+        way_down: motion with which HOLD ends; None: no motion. With it, RAMP begins with a lifted
+            pelvis. A simulator that holds the pelvis there lowers the robot onto its feet. The
+            motion of joints that do not play is part of `trajectory`.
 
     Attributes:
         first: the target at `start`.
@@ -223,13 +227,12 @@ class Targets:
         *,
         start: float,
         played: NDArray[np.bool_] | None = None,
-        lift: float = 0.0,
         way_down: WayDown | None = None,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
-        self._played = None if played is None or played.all() else played
-        self._lift = np.array([0.0, 0.0, lift])
+        self._played = None if way_down or played is None or played.all() else played
+        self._lift = np.array([0.0, 0.0, _LIFT if way_down else 0.0])
         self.way_down = way_down
         self._from: Floats | None = None
         self.first = Target.from_point(start, trajectory.sample(start))

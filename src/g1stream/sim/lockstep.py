@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, POLICY, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,8 +105,8 @@ class Lockstep:
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
 
-    def tell(self, topic: Topic, data: bytes, stamp: int) -> None:
-        self._on_sample(topic, data, stamp)
+    def tell(self, data: bytes, stamp: int) -> None:
+        self._on_sample(POLICY, data, stamp)
 
     def unready(self) -> str:
         return ""

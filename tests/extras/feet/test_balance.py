@@ -11,6 +11,7 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul, quat_rotate_inverse
+from g1stream.session.records import BalanceSummary
 
 pytest.importorskip("daqp")
 from g1stream.extras.feet.balance import Balance
@@ -98,10 +99,10 @@ def test_legs_that_give_way_are_given_up(balance, first, share, falls):
 
 
 def test_the_worst_tilt_height_and_load_are_kept(balance, first):
-    assert balance.summary is None
+    assert not balance.worst
     settle(balance, first, 0.5)
     balance.watch(first)
-    before = balance.summary
+    before = BalanceSummary(**balance.worst)
     assert before.tilt_rad < 1e-3
     assert before.height_error_m < 1e-3
     assert before.carried == pytest.approx(1.0, abs=0.01)
@@ -110,12 +111,12 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
     higher = first.root_pos + np.array([0.0, 0.0, 0.03])
     balance.watch(first._replace(root_quat_wxyz=quat, root_pos=higher))
     balance.watch(first)
-    worst = balance.summary
+    worst = BalanceSummary(**balance.worst)
     assert worst.tilt_rad == pytest.approx(0.1, abs=1e-3)
     assert worst.height_error_m == pytest.approx(0.03, abs=1e-3)
     assert worst.capture_margin_m == before.capture_margin_m
     balance.begin(first)
-    assert balance.summary is None
+    assert not balance.worst
 
 
 def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():

@@ -87,11 +87,11 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
     pos[330:, JOINT_NAMES.index("left_shoulder_roll_joint")] += 2.0
     hopping = replace(demo, root_pos=root, joint_pos=pos)
     with pytest.raises(MotionError) as raised:
-        StandingTorques(config(**asked), G1.default()).change(hopping)
+        StandingTorques(config(**asked), G1.default()).prepare(hopping)
     ways = list(flags_in(raised.value.remedy))
     assert len(ways) == 2
     for given in ways:
-        StandingTorques(config(**asked | given), G1.default()).change(hopping)
+        StandingTorques(config(**asked | given), G1.default()).prepare(hopping)
     own, upper = ways
     assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
     assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))

@@ -25,8 +25,7 @@ LEFT, RIGHT = (
 @pytest.fixture
 def torques(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
-    torques.begin("feet", None, ROBOT.name)
-    torques.ramp_to(first)
+    torques.begin(first, "feet", None, ROBOT.name)
     return torques
 
 
@@ -38,21 +37,19 @@ def at_rest(first, tau=0.0, quat=None):
 
 def commanded(torques, first, tau, ramped=1.0, phase=Phase.RAMP):
     """The command for a robot that is still in the pose of the target, with these torques."""
-    measured = at_rest(first, tau)
-    torques.observe(phase, measured, 1.0)
-    return torques.command(Moment(phase, ramped, first, measured, 0.0))
+    return torques.command(Moment(phase, ramped, first, at_rest(first, tau), 0.0))
 
 
 @pytest.mark.parametrize("ramped", [0.5, 1.0])
 def test_in_the_air_it_has_the_torque_of_a_hanging_robot_and_waits(torques, first, ramped):
     held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
-    held.begin("hanging", "hanging", ROBOT.name)
+    held.begin(first, "hanging", "hanging", ROBOT.name)
     expected = held.command(Moment(Phase.RAMP, 0.5, first, at_rest(first), 0.0)).tau
     for _ in range(20):
         command = commanded(torques, first, expected, ramped=ramped)
     assert command.tau == pytest.approx(expected, abs=0.1)
     assert command.q == pytest.approx(first.q, abs=1e-9)
-    assert torques.awaited
+    assert torques.status.awaited
 
 
 def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, first):
@@ -62,7 +59,6 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
         )
         tilted = first._replace(root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
         measured = at_rest(first, quat=pitch)
-        torques.observe(Phase.RAMP, measured, 1.0)
         change = torques.command(Moment(Phase.RAMP, 0.5, tilted, measured, 0.0)).q - first.q
         for ankle in (LEFT, RIGHT):
             assert change[ankle] == pytest.approx([-0.1, -0.05], abs=2e-3)
@@ -74,23 +70,23 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
     """At rest, with the torques that it asks for: what the feet carry grows to the weight."""
     standing = torques.balance
     tau = standing.torque(first, at_rest(first), 0.0, share=1.0)
-    torques.ramp_to(first)
+    torques.begin(first, "feet", None, ROBOT.name)
     for _ in range(round(0.9 / PERIOD)):
         command = commanded(torques, first, tau)
-    assert torques.awaited
+    assert torques.status.awaited
     for _ in range(round(0.9 / PERIOD)):
         command = commanded(torques, first, tau)
-    assert torques.awaited == ""
+    assert torques.status.awaited == ""
     assert standing.wrench[[2, 8]].sum() == pytest.approx(33.34 * 9.81, rel=0.02)
     assert command.tau == pytest.approx(tau, abs=2.0)
     for _ in range(round(0.5 / PERIOD)):  # the load dips: RAMP ends all the same, without a jump
         commanded(torques, first, 0.5 * tau)
-    assert torques.awaited == ""
+    assert torques.status.awaited == ""
     assert commanded(torques, first, tau, phase=Phase.PLAY).q.tolist() == first.q.tolist()
-    assert torques.fall == torques.fault == ""
+    assert torques.status.fall == torques.status.fault == ""
 
 
-def test_a_robot_that_a_simulator_holds_does_not_stand():
+def test_a_robot_that_a_simulator_holds_does_not_stand(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
     with pytest.raises(ConfigError, match="bolted"):
-        torques.begin("feet", "bolted", ROBOT.name)
+        torques.begin(first, "feet", "bolted", ROBOT.name)

@@ -89,7 +89,7 @@ def test_a_run_that_ends_while_ramp_waits_for_the_feet_squats_down(squats):
         go(now, targets.first)
     assert schedule.state.phase is Phase.RAMP
     asked = Stop("requested", "asked")
-    before, phases = schedule.first, []
+    before, phases = schedule.targets.first, []
     for now in range(600 * MS, 4000 * MS, 2 * MS):
         assert schedule.go_down(now, asked, before, stands=now < 700 * MS)
         target = go(now, before)
@@ -99,4 +99,4 @@ def test_a_run_that_ends_while_ramp_waits_for_the_feet_squats_down(squats):
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.HOLD, Phase.DAMP, Phase.DONE]
     assert phases.count(Phase.RAMP) <= 101  # it waits no longer than it takes to end at rest
     assert schedule.state.stop is asked
-    assert before.root_pos[2] < schedule.first.root_pos[2] - 0.1
+    assert before.root_pos[2] < schedule.targets.first.root_pos[2] - 0.1

@@ -59,7 +59,7 @@ class Driven:
         self.source, self.target = source, target
         self.time, self.took = 5.0, 0.0
         self.quat, self.gyroscope = target.root_quat_wxyz, np.zeros(3)
-        source.begin("free", "free", None)
+        source.begin(target, "free", "free", None)
 
     def command(self, phase=Phase.PLAY, passed=0.002):
         imu = ImuReading(self.quat, self.gyroscope, np.array([0.0, 0.0, 9.81]))
@@ -76,7 +76,7 @@ class Driven:
         told = 0
         for _ in range(n):
             self.command(**about)
-            told += bool(self.source.told())
+            told += bool(self.source.status.told)
         return told
 
 
@@ -115,8 +115,8 @@ def test_targets_are_of_the_contract(driven, policy):
     orientation = 2.0  # the first two columns of the unit matrix
     action = 0.01 * (target.q.sum() + target.dq.sum() + orientation + (target.q - 0.1).sum())
     assert asked.q == pytest.approx(0.1 + 0.5 * action, abs=1e-6)
-    assert driven.source.gains.kp == pytest.approx(np.full(29, 40.0))
-    assert driven.source.gains.kd == pytest.approx(np.full(29, 2.0))
+    assert driven.source.traits.gains.kp == pytest.approx(np.full(29, 40.0))
+    assert driven.source.traits.gains.kd == pytest.approx(np.full(29, 2.0))
 
 
 @pytest.mark.parametrize(("start", "before"), [("first step", 1.0), ("zeros", 0.0)])
@@ -148,23 +148,23 @@ def test_what_is_not_finite_is_repeated_twice(policy, target, tmp_path):
     it.gyroscope = np.full(3, -10.0)
     for _ in range(29):
         assert np.array_equal(it.command().q, finite)
-    assert not it.source.fall
+    assert not it.source.status.fall
     it.command()
-    assert "finite" in it.source.fall
+    assert "finite" in it.source.status.fall
     assert np.array_equal(it.command().q, finite)
 
 
 def test_one_that_takes_longer_than_a_step_may_do_so_twice(driven):
     driven.took = 0.03
     driven.steps(11)
-    assert not driven.source.fall
+    assert not driven.source.status.fall
     driven.took = 0.01
     driven.steps(10)
     driven.took = 0.03
     driven.steps(20)
-    assert not driven.source.fall
+    assert not driven.source.status.fall
     driven.steps(10)
-    assert "20 ms, the last one 30" in driven.source.fall
+    assert "20 ms, the last one 30" in driven.source.status.fall
 
 
 @pytest.mark.parametrize(("tilt", "falls"), [(0.5, False), (0.7, True)])
@@ -173,13 +173,13 @@ def test_a_robot_falls_by_its_tilt_against_the_reference(driven, tilt, falls):
     driven.target = driven.target._replace(root_quat_wxyz=leaning)
     driven.quat = quat_mul(leaning, quat_from_rpy(np.array([0.0, tilt, 0.0])))
     driven.command()
-    assert bool(driven.source.fall) == falls
+    assert bool(driven.source.status.fall) == falls
 
 
 def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     path = policy()
     source = PolicyTargets(settings(path, stand=2.0), ROBOT)
-    motion, _ = source.change(moving(2.0))
+    motion, _ = source.prepare(moving(2.0))
     still = np.full(29, 0.1)
     assert motion.duration == pytest.approx(2.0 + 1.0 + 2.0 + 1.0, abs=0.05)
     at = Trajectory(motion).sample
@@ -189,19 +189,19 @@ def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     soles = Soles(ROBOT).path(motion.joint_pos[:1], motion.root_pos[:1], motion.root_quat_wxyz[:1])
     assert soles[..., 2].min() == pytest.approx(0.0, abs=1e-3)
     assert yaw_of(motion.root_quat_wxyz) == pytest.approx(np.full(motion.n_frames, 1.0))
-    assert source.reference_only
+    assert source.traits.observes
 
 
 def test_a_part_of_a_motion(policy):
     source = PolicyTargets(settings(policy(), stand=1.0, start=0.5, duration=0.8), ROBOT)
-    motion, _ = source.change(moving(2.0))
+    motion, _ = source.prepare(moving(2.0))
     assert motion.joint_pos[100:141] == pytest.approx(moving(2.0).joint_pos[25:66])
     assert motion.duration == pytest.approx(1.0 + 1.0 + 0.8 + 1.0, abs=0.05)
 
 
 def test_the_way_back_to_standing(policy, target):
     source = PolicyTargets(settings(policy(), stand=2.0), ROBOT)
-    down = source.way_down
+    down = source.traits.way_down
     assert isinstance(down, BackToStanding)
     assert down.length == 3.0
     leaning = quat_mul(target.root_quat_wxyz, quat_from_rpy(np.array([0.2, 0.3, 0.0])))
@@ -248,14 +248,14 @@ def test_the_rate_is_a_multiple_of_the_policys(policy):
         )
 
 
-def test_no_robot_and_none_that_a_simulator_holds_is_commanded_by_a_policy(policy):
+def test_no_robot_and_none_that_a_simulator_holds_is_commanded_by_a_policy(policy, target):
     require_combination(settings(policy()), ROBOT, simulated=True)
     with pytest.raises(SafetyError):
         require_combination(settings(policy()), ROBOT, simulated=False)
     with pytest.raises(ConfigError, match="g1_23dof"):
         require_combination(settings(policy()), G1.load("g1_23dof"), simulated=True)
     with pytest.raises(ConfigError):
-        PolicyTargets(settings(policy()), ROBOT).begin("free", "bolted", None)
+        PolicyTargets(settings(policy()), ROBOT).begin(target, "free", "bolted", None)
 
 
 def bent(angle=0.3):
@@ -290,7 +290,7 @@ def test_the_share_of_the_weight_on_the_feet(share):
 
 def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(policy, target):
     source = PolicyTargets(settings(policy()), ROBOT)
-    source.begin("free", None, None)
+    source.begin(target, "free", None, None)
     hanging = hanging_torque(InverseDynamics(ROBOT))
     standing = hanging.copy()
     standing[[3, 9]] -= 20.0  # the knees carry it
@@ -299,11 +299,11 @@ def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(polic
             measured = weighed(tau)
             received = round(1e9 * (10.0 + 0.02 * i + 5.0 * (not waits)))
             object.__setattr__(measured, "received", received)
-            source.observe(Phase.RAMP, measured, 1.0)
-        assert bool(source.awaited) == waits
+            source.command(Moment(Phase.RAMP, 1.0, target, measured, 0.0))
+        assert bool(source.status.awaited) == waits
     source = PolicyTargets(settings(policy()), ROBOT)
-    source.begin("free", "free", None)
-    assert not source.awaited
+    source.begin(target, "free", "free", None)
+    assert not source.status.awaited
 
 
 def test_leg_odometry_of_a_robot_that_shifts_over_its_feet():

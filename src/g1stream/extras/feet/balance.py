@@ -32,7 +32,6 @@ from g1stream.robot.rotations import (
     tilt_of,
 )
 from g1stream.robot.soles import OFF_FLOOR
-from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
 
 #: Feedback gains on position, 1/s², and velocity, 1/s: of the centre of mass along x, y and z, and
@@ -89,6 +88,7 @@ class Balance:
         base: estimate of the pelvis's pose.
         carried: measured fraction of the weight on the feet.
         fall: why the robot falls; "" if it does not.
+        worst: fields of `BalanceSummary` over the watched ticks; empty before `watch`.
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
         terms: terms of the last state; None before the first.
@@ -118,8 +118,7 @@ class Balance:
         self.fall, self.carried = "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
-        self._worst: dict[str, float] = {}
-        self._lifts = self._unsolved = 0
+        self.worst: dict[str, float] = {}
 
     def begin(self, first: Target) -> None:
         """Start the reference with a target, on whose soles the robot will stand."""
@@ -202,15 +201,8 @@ class Balance:
         if falls and not self.fall:
             self.fall = f"the robot falls: {falls}"
 
-    @property
-    def summary(self) -> BalanceSummary | None:
-        """Summary of the watched ticks; None before `watch`."""
-        if not self._worst:
-            return None
-        return BalanceSummary(**self._worst, lifts=self._lifts, unsolved_ticks=self._unsolved)
-
     def _keep_worst(self, margin: float, tilt: float, height_error: float) -> None:
-        """Add a watched tick to the summary."""
+        """Add a watched tick to `worst`."""
         # Distance of a foot from its place relative to the other foot.
         apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2] * all(self._stands)
         now = {
@@ -220,12 +212,15 @@ class Balance:
             "feet_error_m": (max, float(np.hypot(*apart))),
             "carried": (min, self.carried),
         }
-        worst = self._worst
-        self._worst = {name: of(worst.get(name, one), one) for name, (of, one) in now.items()}
         feet = zip(self._stood_before, self._stands, strict=True)
-        self._lifts += sum(stood and not stands for stood, stands in feet)
+        counts = {
+            "lifts": sum(stood and not stands for stood, stands in feet),
+            "unsolved_ticks": int(self._lasted["unsolved"] > 0.0),
+        }
+        worst = self.worst
+        self.worst = {name: of(worst.get(name, one), one) for name, (of, one) in now.items()}
+        self.worst |= {name: worst.get(name, 0) + one for name, one in counts.items()}
         self._stood_before = self._stands
-        self._unsolved += self._lasted["unsolved"] > 0.0
 
     def _capture_point_outside(self, terms: Terms) -> float:
         """Distance of the capture point outside of the soles, m; negative inside.

@@ -11,8 +11,15 @@ from typing import Final
 import numpy as np
 
 from g1stream.config import Config
-from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.sources import HeldTorques, Moment, Source, possible_revisions
+from g1stream.control.reading import ImuReading
+from g1stream.control.sources import (
+    HeldTorques,
+    Moment,
+    Source,
+    Status,
+    Traits,
+    possible_revisions,
+)
 from g1stream.control.targets import LOWERED, Target
 from g1stream.errors import ConfigError
 from g1stream.extras.feet.balance import Balance
@@ -26,7 +33,6 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES
-from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats, Phase, StreamSupport
 
 #: The feet stand from the first fraction of the weight, and stop standing below the second one.
@@ -39,8 +45,6 @@ _CARRIED: Final = 0.9, 1.0
 _SQUATS: Final = 0.5
 #: Time constant of the measured fraction, s.
 _LOAD: Final = 0.1
-#: Larger than the difference of a leg's length between stretched and lowest squat, m.
-_LIFT: Final = 0.4
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: The joints that turn a sole about y and about x, (2, 2).
 _ANKLES: Final = np.array(
@@ -62,14 +66,12 @@ class StandingTorques(Source):
     is not played becomes a pause, so it need not be balanced.
     """
 
-    needed = True
-    lift = _LIFT
-
     def __init__(self, config: Config, robot: G1, *, simulated: bool = True) -> None:
         self._config, self._robot = config, robot
         period, robots = config.stream.period / 1e9, possible_revisions(robot, simulated=simulated)
-        self.way_down = Squat(robot)
+        self.traits = Traits(way_down=Squat(robot))
         self._balances = {one.name: Balance(one, period) for one in robots}
+        self.balance = self._balances[robots[0].name]
         self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)
         self._period = period
         self._lowered_by_bridge = False
@@ -77,42 +79,24 @@ class StandingTorques(Source):
         self._load = self._carried_for = 0.0
 
     @property
-    def name(self) -> str:
-        return self._hanging.name
-
-    @property
-    def balance(self) -> Balance:
-        """The balance controller of the robot revision in use."""
-        return self._balances[self.name]
-
-    @property
-    def fault(self) -> str:
-        return self.balance.fault
-
-    @property
-    def fall(self) -> str:
-        return self.balance.fall
-
-    @property
-    def summary(self) -> BalanceSummary | None:
-        """How close the robot was to falling; None before PLAY."""
-        return self.balance.summary
-
-    @property
-    def awaited(self) -> str:
-        if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
-            return ""
-        return (
-            f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
-            f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and release it in PLAY"
+    def status(self) -> Status:
+        balance, awaited = self.balance, ""
+        if not self._lowered_by_bridge and self._carried_for <= _CARRIED[1]:
+            awaited = (
+                f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
+                f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and release it in PLAY"
+            )
+        return Status(
+            balance.fall,
+            balance.fault,
+            awaited,
+            # At most a band carries the rest.
+            stands=not self._lowered_by_bridge and self._load > _SQUATS,
+            robot=self._hanging.status.robot,
+            margins=balance.worst,
         )
 
-    @property
-    def stands(self) -> bool:
-        """Whether the feet carry half of the weight, so that at most a band carries the rest."""
-        return not self._lowered_by_bridge and self._load > _SQUATS
-
-    def change(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> tuple[Motion, str]:
         settings, robot = self._config.stream, self._robot
         asked = Interval.from_config(settings, motion).frames(motion)
         standing = stand_or_explain(motion, robot, asked, robot.select(settings.played_joints))
@@ -122,26 +106,23 @@ class StandingTorques(Source):
         changed = replace(standing.motion, operations=(*motion.operations, how))
         return changed, f"{motion.name} is played {how}"
 
-    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+    def begin(
+        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
+    ) -> None:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), so it does not stand on its feet.",
                 "Start it with --support free, or stream without --support feet.",
             )
         self._lowered_by_bridge = announced == "free"
-        self._hanging.begin("hanging", "hanging", robot)
-
-    def ramp_to(self, first: Target) -> None:
-        for balance in self._balances.values():
-            balance.begin(first)
-        self._landed, self._load, self._carried_for = False, 0.0, 0.0
-
-    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
-        if not self._lowered_by_bridge:
-            self._hanging.observe(phase, measured, scale)
+        self._hanging.begin(first, "hanging", "hanging", robot)
+        self.balance = self._balances[self._hanging.status.robot or ""]
+        self.balance.begin(first)
 
     def command(self, moment: Moment) -> Target:
         phase, ramped, target, measured, age, *_ = moment
+        if moment.fault:
+            return target
         balance, imu = self.balance, measured.imu
         if phase is not Phase.RAMP:
             tau = balance.torque(target, measured, age)

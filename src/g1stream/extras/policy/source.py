@@ -14,8 +14,8 @@ import numpy as np
 
 from g1stream.control.gains import Gains
 from g1stream.control.reading import ticks_between
-from g1stream.control.sources import Source
-from g1stream.dds.messages import POLICY, PolicyStep
+from g1stream.control.sources import Source, Status, Traits
+from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
@@ -57,8 +57,6 @@ for two minutes, in simulators that stalled, were tilted by at most 0.41."""
 
 #: Time to move from the still pose to the motion and back, s.
 _BLEND: Final = 1.0
-#: Height by which the pelvis is raised when RAMP begins, m; no leg is longer by more.
-_LIFT: Final = 0.4
 #: PLAY begins when the feet have carried this fraction of the weight for this time, s, because a
 #: policy kicks while its feet are in the air.
 _CARRIED: Final = 0.1, 0.5
@@ -87,14 +85,6 @@ class PolicyTargets(Source):
         SafetyError: it may not be used on a robot.
     """
 
-    needed = True
-    support: StreamSupport | None = "free"
-    lift = _LIFT
-    in_steps = True
-    own_time = True
-    reference_only = True
-    tells = POLICY
-
     def __init__(self, config: Config, robot: G1, *, simulated: bool = True) -> None:
         settings = config.stream
         self._network = Network(settings.policy or "")
@@ -102,12 +92,15 @@ class PolicyTargets(Source):
         _require_multiple(contract, settings.rate)
         self._step_time = 1.0 / contract.rate
         self._robot, self._settings = robot, settings
-        self.gains = Gains(
-            contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)
-        )
         pose = contract.in_motor_order(contract.default_pos)
         self._still = _standing(pose, robot)
-        self.way_down = BackToStanding(self._still, settings.stand)
+        self.traits = Traits(
+            Gains(contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)),
+            support="free",
+            way_down=BackToStanding(self._still, settings.stand),
+            observes=True,
+            about=_about(contract, self._network),
+        )
         self._observer, self._order = Observer(contract), contract.order
         estimated = any(term.name in OF_BASE for term in contract.terms)
         self._load = FeetLoad(robot)
@@ -125,23 +118,21 @@ class PolicyTargets(Source):
         self._told, self._new = PolicyStep(), False
 
     @property
-    def name(self) -> str | None:
-        return self._robot.name
+    def status(self) -> Status:
+        awaited = ""
+        if self._waits:
+            awaited = (
+                f"the feet carry {100.0 * max(0.0, self._share):.0f} % of the weight; lower the "
+                f"robot until they carry {100.0 * _CARRIED[0]:.0f} %, and release it when it stands"
+            )
+        told = self._told.tobytes() if self._new else b""
+        return Status(self._fall, awaited=awaited, told=told, robot=self._robot.name)
 
     @property
-    def fall(self) -> str:
-        return self._fall
+    def _waits(self) -> bool:
+        return not self._lowered_by_bridge and self._carried_for <= _CARRIED[1]
 
-    @property
-    def awaited(self) -> str:
-        if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
-            return ""
-        return (
-            f"the feet carry {100.0 * max(0.0, self._share):.0f} % of the weight; lower the robot "
-            f"until they carry {100.0 * _CARRIED[0]:.0f} %, and release it when it stands"
-        )
-
-    def change(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> tuple[Motion, str]:
         settings = self._settings
         first = first_actions(self.contract, self._network, self._robot, motion)
         if first and first.problem and settings.beyond_limits != "anyway":
@@ -157,7 +148,9 @@ class PolicyTargets(Source):
             text += "; the velocity of the pelvis is estimated by leg odometry"
         return changed, text
 
-    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+    def begin(
+        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
+    ) -> None:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
@@ -165,9 +158,9 @@ class PolicyTargets(Source):
             )
         self._lowered_by_bridge = announced == "free"
 
-    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
+    def _weigh(self, measured: Reading) -> None:
         now = measured.received / 1e9
-        if phase is not Phase.RAMP or now < self._weighed + _LOAD_PERIOD or not self.awaited:
+        if now < self._weighed + _LOAD_PERIOD or not self._waits:
             return
         self._weighed = now
         self._share = self._load.share(measured)
@@ -176,8 +169,11 @@ class PolicyTargets(Source):
 
     def command(self, moment: Moment) -> Target:
         target = moment.target
+        self._new = False
+        if moment.fault:
+            return self._held(target)
         if moment.phase is Phase.RAMP:
-            self._target = None
+            self._weigh(moment.measured)
             return target
         if self._target is None:
             self._next = moment.time
@@ -188,29 +184,13 @@ class PolicyTargets(Source):
             if self._next <= moment.time:  # steps in a jump of the motion's clock are skipped
                 self._next = moment.time + self._step_time
         self._watch(moment)
-        return self.repeated(target)
+        return self._held(target)
 
-    def repeated(self, target: Target) -> Target:
+    def _held(self, target: Target) -> Target:
         if self._target is None:
             return target
         nothing = np.zeros(len(self._target))
         return target._replace(q=self._target, dq=nothing, ddq=nothing, tau=nothing)
-
-    def told(self) -> bytes:
-        new, self._new = self._new, False
-        return self._told.tobytes() if new else b""
-
-    def about(self) -> PolicyInfo | None:
-        network = self._network
-        mean, std = network.normaliser or ((), ())
-        return PolicyInfo(
-            trained_mean=list(mean),
-            trained_std=list(std),
-            path=str(network.path.absolute()),
-            sha256=network.sha256,
-            data_sha256=network.data_sha256,
-            contract=self.contract.model_dump(mode="json"),
-        )
 
     def _step(self, moment: Moment) -> None:
         begun, measured = moment.clock(), moment.measured
@@ -318,6 +298,18 @@ class BackToStanding:
             )
 
         return target
+
+
+def _about(contract: PolicyContract, network: Network) -> PolicyInfo:
+    mean, std = network.normaliser or ((), ())
+    return PolicyInfo(
+        trained_mean=list(mean),
+        trained_std=list(std),
+        path=str(network.path.absolute()),
+        sha256=network.sha256,
+        data_sha256=network.data_sha256,
+        contract=contract.model_dump(mode="json"),
+    )
 
 
 def _standing(pose: Floats, robot: G1) -> Motion:

@@ -25,6 +25,7 @@ import numpy as np
 import g1stream
 from g1stream.dds.messages import LOWCMD, LOWSTATE, encode_samples
 from g1stream.errors import RecordingError
+from g1stream.motion.trajectory import Trajectory
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import SessionWriter
 from g1stream.sim.lockstep import EPOCH
@@ -105,7 +106,7 @@ def errors(cases: list[tuple[Session, Motion, int, float]]) -> dict[str, Any]:
 
 def write_long(path: Path, motion: Motion) -> None:
     """Ten minutes of commands and states, 500 a second, with the motion after a minute."""
-    trajectory = g1stream.Trajectory(motion)
+    trajectory = Trajectory(motion)
     with SessionWriter(path) as writer:
         for start in np.arange(0.0, TEN_MINUTES, 1.0):
             times = start + np.arange(0.0, 1.0, 1.0 / 500.0)

@@ -21,9 +21,9 @@ import mujoco
 import numpy as np
 
 import g1stream
-from g1stream.cli.render import parse_size
 from g1stream.extras.meshes.meshes import with_shapes
 from g1stream.extras.video import render, scene
+from g1stream.extras.video.render_cli import parse_size
 
 FRAMES = 10
 

@@ -22,17 +22,16 @@ from g1stream._version import __version__
 _HOME = {
     name: module
     for module, names in {
-        "analysis.metrics": ("Metrics",),
         "analysis.summary": ("Summary",),
         "analysis.tracking": ("Tracking",),
         "app.convert": ("Conversion", "convert"),
-        "app.live": ("live",),
         "app.record": ("record",),
         "app.rollout": ("rollout",),
         "app.session": ("Session", "open_session"),
         "app.sim": ("simulate",),
         "app.stream": ("stream",),
         "config": ("Config", "load_config"),
+        "extras.live.live": ("live",),
         "errors": (
             "ConfigError",
             "G1StreamError",
@@ -45,10 +44,8 @@ _HOME = {
         ),
         "motion.motion": ("Motion",),
         "motion.readers": ("load_motion",),
-        "motion.trajectory": ("Trajectory",),
         "robot.joints": ("JOINT_NAMES",),
         "robot.model": ("G1",),
-        "sim.robot": ("SensorNoise",),
         "types": ("Phase",),
     }.items()
     for name in names

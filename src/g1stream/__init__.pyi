@@ -1,11 +1,9 @@
 # Made by `make docs`.
 from g1stream._version import __version__ as __version__
-from g1stream.analysis.metrics import Metrics as Metrics
 from g1stream.analysis.summary import Summary as Summary
 from g1stream.analysis.tracking import Tracking as Tracking
 from g1stream.app.convert import Conversion as Conversion
 from g1stream.app.convert import convert as convert
-from g1stream.app.live import live as live
 from g1stream.app.record import record as record
 from g1stream.app.rollout import rollout as rollout
 from g1stream.app.session import Session as Session
@@ -26,12 +24,11 @@ from g1stream.extras import fit as fit
 from g1stream.extras import library as library
 from g1stream.extras import physics as physics
 from g1stream.extras import report as report
+from g1stream.extras.live.live import live as live
 from g1stream.motion.motion import Motion as Motion
 from g1stream.motion.readers import load_motion as load_motion
-from g1stream.motion.trajectory import Trajectory as Trajectory
 from g1stream.robot.joints import JOINT_NAMES as JOINT_NAMES
 from g1stream.robot.model import G1 as G1
-from g1stream.sim.robot import SensorNoise as SensorNoise
 from g1stream.types import Phase as Phase
 
 __all__: list[str]

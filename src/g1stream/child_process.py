@@ -45,6 +45,7 @@ __all__ = [
 #: Modules of the programs outside `g1stream.app`.
 _ELSEWHERE: Final = {
     "guard": "g1stream.control.guard",
+    "live": "g1stream.extras.live.live",
     "receiver": "g1stream.recorder.receiver",
     "ros2": "g1stream.extras.ros2.topics",
 }

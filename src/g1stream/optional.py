@@ -25,6 +25,7 @@ EXTENSIONS: Final = {
     "attach": "g1stream.extras.attach.attached:with_motion",
     "open_log": "g1stream.extras.attach.logs:open_log",
     "read_recording": "g1stream.extras.attach.recorded_motion:open_recorded",
+    "live": "g1stream.extras.live.live:live",
     "motion_formats": "g1stream.extras.formats.table:FORMATS",
     "motion_service": "g1stream.extras.onboard.motion_service:MotionSwitcherClient",
     "simulated_service": "g1stream.extras.onboard.simulated:MotionService",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
 from g1stream.events import QUIET, is_quiet
+from g1stream.optional import extension
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -139,9 +140,7 @@ class LiveCommand(SettingsCommand, QuietFlag):
         if not self.live:
             yield
             return
-        from g1stream.app.live import live
-
-        with live(config, origins=self.live_origin) as address:
+        with extension("live")(config, origins=self.live_origin) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"
             print_note(f"Live in Foxglove and Lichtblick: {where}")
             yield

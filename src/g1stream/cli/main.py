@@ -76,10 +76,10 @@ COMMANDS: Final = {
             "Identify friction, armature, delay and masses from sessions.",
         ),
         "render": (
-            "cli.render:Render",
+            "extras.video.render_cli:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "layout": ("cli.layout:Layout", "Write a viewer layout for sessions."),
+        "layout": ("extras.layout.layout_cli:Layout", "Write a viewer layout for sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
         "policy": (
             "extras.policy.policy_cli:Policy",

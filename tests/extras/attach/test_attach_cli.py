@@ -5,6 +5,7 @@ import pytest
 
 import g1stream
 from g1stream.dds.messages import LOWCMD, LOWSTATE, encode_samples
+from g1stream.motion.trajectory import Trajectory
 from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
@@ -15,7 +16,7 @@ def theirs(tmp_path_factory):
     """Commands and states of the bundled motion, begun 3 s after the first message."""
     path = tmp_path_factory.mktemp("theirs") / "theirs.mcap"
     time = np.arange(0.0, 14.0, 0.01)
-    q = g1stream.Trajectory(g1stream.load_motion("demo")).sample_joints(time - 3.0)[0]
+    q = Trajectory(g1stream.load_motion("demo")).sample_joints(time - 3.0)[0]
     stamps = T0 + np.round(time * 1e9).astype(np.int64)
     command = {"motor_cmd.q": q, "motor_cmd.kp": np.full(q.shape, 50.0)}
     state = {

@@ -19,6 +19,7 @@ from g1stream.extras.policy.steps import policy_steps
 from g1stream.extras.report.page import numbers
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import MemorySource
+from g1stream.sim.robot import SensorNoise
 from g1stream.types import Phase
 from known_policies import DANCE, METADATA, POLICIES, needs_policies, network_of
 
@@ -354,7 +355,7 @@ def test_the_page_has_the_policy(falling, tmp_path):
 
 
 def test_terms_of_two_sessions_are_compared(falling, place):
-    noise = g1stream.SensorNoise(seed=2)
+    noise = SensorNoise(seed=2)
     other = g1stream.rollout(
         "demo", policy=place / "policy.onnx", config=config(), seconds=2.0, noise=noise
     )

@@ -15,6 +15,7 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE, encode_samples
 from g1stream.errors import MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
 from g1stream.motion.readers import MotionFile, find_motion, load_motion
+from g1stream.motion.trajectory import Trajectory
 from g1stream.session.format import CHANNELS
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -273,7 +274,7 @@ def test_messages_that_are_not_what_they_say(tmp_path, joints):
 def played():
     """Joint positions of the bundled motion, begun 3 s after the first message, and times, ns."""
     time = np.arange(0.0, 14.0, 0.01)
-    q = g1stream.Trajectory(load_motion("demo")).sample_joints(time - 3.0)[0]
+    q = Trajectory(load_motion("demo")).sample_joints(time - 3.0)[0]
     return q, START + np.round(time * 1e9).astype(np.int64)
 
 

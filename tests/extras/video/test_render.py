@@ -10,10 +10,10 @@ from PIL import Image
 
 import g1stream
 from g1stream.app.session import open_session
-from g1stream.cli.render import parse_size
 from g1stream.config import load_config
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.extras.video.render import AZIMUTHS, Poses, render
+from g1stream.extras.video.render_cli import parse_size
 from g1stream.robot.model import G1
 from g1stream.types import Phase
 

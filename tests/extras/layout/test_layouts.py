@@ -11,13 +11,13 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 import g1stream
 from g1stream.analysis.tracking import worst_joints
 from g1stream.config import Config
-from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
-from g1stream.robot.model import G1
-from g1stream.view.layouts import (
+from g1stream.extras.layout.layouts import (
     DEFAULT_JOINTS,
     foxglove_layout,
     plotjuggler_layout,
 )
+from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
+from g1stream.robot.model import G1
 
 PATH = re.compile(r'(/[\w/]+)\.(?:joints\[:\]\{name=="(\w+)"\}\.)?(\w+)')
 

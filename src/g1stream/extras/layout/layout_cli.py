@@ -51,9 +51,13 @@ class Layout(Command):
     def run(self) -> int:
         """Write the layout, and return the exit code."""
         from g1stream.analysis.tracking import worst_joints
+        from g1stream.extras.layout.layouts import (
+            DEFAULT_JOINTS,
+            foxglove_layout,
+            plotjuggler_layout,
+        )
         from g1stream.files import complete_file, output_errors
         from g1stream.session.recording import open_recording
-        from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
         recording = None

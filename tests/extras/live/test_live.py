@@ -17,7 +17,6 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from g1stream import child_process
-from g1stream.app import live as program
 from g1stream.app.record import record
 from g1stream.app.session import open_session
 from g1stream.child_process import Child
@@ -32,6 +31,7 @@ from g1stream.dds.messages import (
     LowState,
     Samples,
 )
+from g1stream.extras.live import live as program
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.format import CHANNELS
 

@@ -1,0 +1,1 @@
+"""A live view of the session, for Foxglove and Lichtblick."""

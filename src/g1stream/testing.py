@@ -109,13 +109,12 @@ class FakeLink:
         robot: the robot's LowState, which the loop receives at every tick. It stands upright. Its
             accelerometer has noise, because a LowState that never changes counts as frozen.
         silent: the robot publishes only with `publish_state`.
-        subscriber_count: number of subscribers of LowCmd.
         others: names of other publishers of LowCmd.
         publisher: identity of the publisher of LowState.
         state_others: names of the publishers of LowState, if there are several.
         waits_for: why the first command has to wait; "" if it need not.
         guard_took_over: why the guard process damps the robot; "" while it does not.
-        announced: the support that the robot announces.
+        support: the support that the robot announces.
         on_send: called after each `send` with the number of earlier ones.
     """
 
@@ -126,28 +125,21 @@ class FakeLink:
         self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
         self.robot.mode_machine[()] = MODE_MACHINE_29
         self.silent = False
-        self.subscriber_count = 1
         self.others: list[str] = []
         self.publisher = 1
         self.state_others: list[str] = []
         self.waits_for = self.guard_took_over = ""
-        self.announced: str | None = None
+        self.support: str | None = None
         self.on_send: Callable[[int], object] = lambda n: None
         self._clock = clock
         self._published: bytes | None = None
         self._noise = 2.0**-20
 
-    def subscribers(self) -> int:
-        return self.subscriber_count
-
     def other_publishers(self) -> list[str]:
         return list(self.others)
 
-    def support(self) -> str | None:
-        return self.announced
-
-    def model(self) -> str | None:
-        return None
+    def announced(self) -> tuple[str | None, str | None]:
+        return self.support, None
 
     def receive(self, state: LowState) -> int | None:
         if not self.robot.crc:  # a state with a CRC is left as it is

@@ -27,6 +27,7 @@ from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 
 MS = 1_000_000
+UNSUBSCRIBED = "no subscriber on rt/lowcmd"
 
 
 class CheckedLink(FakeLink):
@@ -36,7 +37,7 @@ class CheckedLink(FakeLink):
 
     def __init__(self, clock):
         super().__init__(clock)
-        self.subscriber_count = 0
+        self.waits_for = UNSUBSCRIBED
 
     def assert_damped(self):
         """The session ended in its whole share of commands that only damp, and all are sound."""
@@ -67,16 +68,16 @@ class CheckedLink(FakeLink):
     @contextmanager
     def subscribed(self):
         """With a subscriber of LowCmd."""
-        self.subscriber_count += 1
+        self.waits_for = ""
         yield
-        self.subscriber_count -= 1
+        self.waits_for = UNSUBSCRIBED
 
     @contextmanager
     def held(self, support):
         """With a bridge that announces its support."""
-        self.announced = support
+        self.support = support
         yield
-        self.announced = None
+        self.support = None
 
     @contextmanager
     def contested(self):

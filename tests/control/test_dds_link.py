@@ -138,11 +138,14 @@ def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not
         link = DdsLink(ours, None, MOTORS)
         after = time.monotonic()
         first, second = (RawWriter(theirs, LOWSTATE, depth=10) for _ in range(2))
-        until(lambda: first.matched and second.matched, "both to match")
+        subscriber = RawReader(theirs, LOWCMD)
+        until(lambda: first.matched and second.matched and link.subscribers(), "all to match")
         for later, waits in ((before + 1.99, True), (after + 2.01, False)):
             with monkeypatch.context() as patch:
                 patch.setattr(time, "monotonic", lambda later=later: later)
                 assert ("several publishers" in link.unready()) == waits
+
+        subscriber.close()
 
         def heard(writer, tick):
             publish(writer, [tick])

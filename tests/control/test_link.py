@@ -101,9 +101,9 @@ def state_of(tick):
 
 def test_an_empty_wire(ends):
     state = LowState()
-    assert ends.link.subscribers() == 0
+    assert "no subscriber" in ends.link.unready()
     assert ends.link.other_publishers() == []
-    assert ends.link.support() is None
+    assert ends.link.announced() == (None, None)
     assert not ends.link.receive(state)
     assert state.tobytes() == LowState().tobytes()
     assert ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
@@ -111,8 +111,8 @@ def test_an_empty_wire(ends):
 
 def test_a_bridge_says_how_it_holds_the_robot(ends, until):
     with ends.held("hanging"):
-        until(lambda: ends.link.support() == "hanging", "the support")
-    until(lambda: ends.link.support() is None, "the departure of the bridge")
+        until(lambda: ends.link.announced()[0] == "hanging", "the support")
+    until(lambda: ends.link.announced()[0] is None, "the departure of the bridge")
 
 
 def test_the_newest_state_is_received_once(ends, until):
@@ -130,7 +130,7 @@ def test_the_newest_state_is_received_once(ends, until):
 def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
     command, reference = LowCmd(), Reference()
     with ends.subscribed():
-        until(lambda: ends.link.subscribers() == 1, "a subscriber")
+        until(lambda: not ends.link.unready(), "a subscriber")
         sent = []
         for i in range(3):
             command.q[:] = i / 7
@@ -143,7 +143,7 @@ def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
         assert ends.commands() == [(command, stamp) for command, _, stamp in sent]
         assert ends.references() == [(reference, stamp) for _, reference, stamp in sent]
         assert ends.link.other_publishers() == []
-    until(lambda: ends.link.subscribers() == 0, "the departure of the subscriber")
+    until(ends.link.unready, "the departure of the subscriber")
 
 
 def test_another_publisher_is_named_while_it_is_there(ends, until):

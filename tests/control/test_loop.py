@@ -81,7 +81,7 @@ def test_the_part_that_is_played(make_loop, trajectory, timing):
 
 
 def test_what_wait_waits_for_is_said_meanwhile(make_loop, link, clock, timing, events):
-    link.subscriber_count = 0
+    link.waits_for = "no subscriber on rt/lowcmd"
     make_loop(timing=replace(timing, wait=4_500 * MS), where="domain 7 on lo").run()
     told = [text for _, text in events() if text.startswith("WAIT, ")]
     assert len(told) == 2  # after 1 and 4 s
@@ -132,7 +132,7 @@ class ConstantTorque:
 def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
     """60 ms without a LowState, the last 40 of them stale: 0.4 of the fade."""
     feed = feedforward("dynamics", "bolted", source=HeldTorques(ConstantTorque(), period=0.002))
-    link.announced = "bolted"  # needs no check, and so no model
+    link.support = "bolted"  # needs no check, and so no model
     silent = range(150, 180)
     link.on_send = lambda i: setattr(link, "silent", i in silent)
     make_loop(feedforward=feed).run()
@@ -256,7 +256,7 @@ class Awaiting(HeldTorques):
 
 def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loop, link, events):
     source = Awaiting(ConstantTorque(), period=0.002)
-    link.announced = "bolted"
+    link.support = "bolted"
 
     def come(i):
         source.awaited = "" if i >= 199 else Awaiting.awaited

@@ -162,7 +162,6 @@ def test_another_publisher_may_be_allowed(make_loop, link):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda link: setattr(link, "subscriber_count", 0), "no subscriber on rt/lowcmd"),
         (lambda link: setattr(link, "silent", True), "no LowState received"),
         (lambda link: setattr(link, "waits_for", "the guard is not ready"), "the guard is not"),
         (lambda link: link.robot.q.put(0, 100.0), "left_hip_pitch_joint is at 100.000 rad"),
@@ -210,7 +209,7 @@ def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(
     """A simulator that is restarted while a stream waits."""
     silent, start = (150 * MS, 600 * MS), clock.now()
     receive, bare_link.silent = bare_link.receive, False
-    bare_link.subscriber_count = 1
+    bare_link.waits_for = ""
 
     def receive_unless_silent(state):
         return None if silent[0] <= clock.now() - start < silent[1] else receive(state)
@@ -235,7 +234,7 @@ def test_a_machine_that_stalls_is_told_beside_a_silent_robot(make_loop, link, cl
 
 def test_the_first_command_waits_for_a_subscriber(make_loop, link, clock, monkeypatch):
     comes = clock.now() + 400 * MS
-    monkeypatch.setattr(link, "subscribers", lambda: int(clock.now() >= comes))
+    monkeypatch.setattr(link, "unready", lambda: "" if clock.now() >= comes else "no subscriber")
     make_loop().run()
     assert link.sent[0].time == comes + PERIOD
 
@@ -365,10 +364,10 @@ def test_an_error_between_damp_and_its_gains_damps(make_loop, link, monkeypatch)
 
 
 def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events, monkeypatch):
-    def subscribers():
+    def unready():
         raise BrokenError("no wire")
 
-    monkeypatch.setattr(link, "subscribers", subscribers)
+    monkeypatch.setattr(link, "unready", unready)
     loop = make_loop()
     with pytest.raises(BrokenError):
         loop.run()

@@ -35,17 +35,11 @@ _PERIOD: Final = 100_000_000
 class Link(Protocol):
     """Interface that publishes commands and receives states; no call blocks."""
 
-    def subscribers(self) -> int:
-        """Number of matched subscribers of LowCmd, without observers."""
-
     def other_publishers(self) -> list[str]:
         """Names of other publishers of LowCmd."""
 
-    def support(self) -> str | None:
-        """The support that the bridge announces; None if it does not."""
-
-    def model(self) -> str | None:
-        """The name of the robot that the bridge announces; None if it does not."""
+    def announced(self) -> tuple[str | None, str | None]:
+        """Support and name of the robot as the bridge announces them; None if it does not."""
 
     def receive(self, state: LowState) -> int | None:
         """Load the newest LowState since the last call.
@@ -68,7 +62,7 @@ class Link(Protocol):
         """Publish a step of a policy, with the publish time of the last LowCmd."""
 
     def unready(self) -> str:
-        """Why the first command has to wait for the guard process or for LowStates, or ""."""
+        """Why the first command has to wait for a subscriber, guard or LowStates, or ""."""
 
     def replaced(self) -> str:
         """Why the guard process commands the robot instead of this process, or ""."""
@@ -115,6 +109,7 @@ class DdsLink:
         self._tick_bytes = slice(start, start + tick.dtype.itemsize)
 
     def subscribers(self) -> int:
+        """Number of matched subscribers of LowCmd, without observers."""
         return count_subscribers(self._participant, self._commands)
 
     def other_publishers(self) -> list[str]:
@@ -139,18 +134,10 @@ class DdsLink:
             ]
         return self._other_names
 
-    def support(self) -> str | None:
-        bridge = self._announced()
-        return bridge.support if bridge else None
-
-    def model(self) -> str | None:
-        bridge = self._announced()
-        return bridge.robot or None if bridge else None
-
-    def _announced(self) -> AnnouncedBridge | None:
+    def announced(self) -> tuple[str | None, str | None]:
         bridge = AnnouncedBridge.by(self._participant.writers(LOWSTATE.name))
         self._bridge = bridge or self._bridge
-        return bridge
+        return (bridge.support, bridge.robot or None) if bridge else (None, None)
 
     def receive(self, state: LowState) -> int | None:
         samples = self._states.take(_STATE_DEPTH)
@@ -202,6 +189,8 @@ class DdsLink:
         return written
 
     def unready(self) -> str:
+        if not self.subscribers():
+            return f"no subscriber on {self._topic.name}"
         if self._heartbeat and not self._heartbeat.subscribers:
             return f"the guard process has found no subscriber on {self._topic.name}"
         several = self._states.matched > 1
@@ -215,7 +204,8 @@ class DdsLink:
 
     def counts(self) -> dict[str, int | None]:
         """Counters of received and lost messages, by their field names in `StreamSummary`."""
-        bridge = self._announced() or self._bridge
+        self.announced()  # for a bridge that has come since the last call
+        bridge = self._bridge
         return {
             "states_received": self._gaps.received,
             "states_lost": self._gaps.missed(bridge.tick_step) if bridge else None,

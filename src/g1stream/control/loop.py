@@ -281,7 +281,7 @@ class StreamLoop:
         unknown = self._robot_unknown(now)
         missing = ""
         if before.phase is Phase.WAIT:
-            missing = unknown or self._checks.missing or self._no_subscriber()
+            missing = unknown or self._checks.missing or self._link.unready()
             if missing and before.elapsed(now) >= self._next_told:
                 self._next_told = before.elapsed(now) + _TOLD_AGAIN
                 longest = self._schedule.timing.wait / 1e9
@@ -309,11 +309,6 @@ class StreamLoop:
             stands=self._feedforward.status.stands,
         ):
             self._stop = self._stop or requested
-
-    def _no_subscriber(self) -> str:
-        if not self._link.subscribers():
-            return f"no subscriber on {self._receiver.topic.name}"
-        return self._link.unready()
 
     def _robot_unknown(self, now: int) -> str:
         """Why the state of the robot is unknown, or ""."""
@@ -345,7 +340,7 @@ class StreamLoop:
         if before.phase is Phase.PLAY:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
-            self._commands.begin(measured, self._link.support(), self._link.model())
+            self._commands.begin(measured, *self._link.announced())
             self._checks.begin("free" if self._receiver.carries else self._feedforward.support)
         elif phase is Phase.PLAY:
             self._robot_time.begin(self._clock.now())

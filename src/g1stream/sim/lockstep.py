@@ -76,17 +76,11 @@ class Lockstep:
             self._command = b""
         self._robot.step(self._now)
 
-    def subscribers(self) -> int:
-        return 1
-
     def other_publishers(self) -> list[str]:
         return []
 
-    def support(self) -> str | None:
-        return self._support
-
-    def model(self) -> str | None:
-        return self._robot.model if self._support else None
+    def announced(self) -> tuple[str | None, str | None]:
+        return self._support, self._robot.model if self._support else None
 
     def receive(self, state: LowState) -> int | None:
         data, self._low_state = self._low_state, b""

@@ -137,7 +137,7 @@ def test_what_a_guard_sends_after_a_command(weight):
 @pytest.mark.parametrize("announced", ["hanging", None])
 def test_a_tilt_ends_the_session_whatever_a_simulator_announces(made, link, announced):
     """By 1.2 rad, because the robot's own controller stands."""
-    link.announced = announced
+    link.support = announced
     turned = np.array([np.cos(0.6), 0.0, np.sin(0.6), 0.0], np.float32)
     link.at_send(20, lambda: link.robot.quaternion.__setitem__(slice(None), turned))
     assert made().run().stop.kind == "tilt"
@@ -151,7 +151,7 @@ def test_a_tilt_ends_the_session_whatever_a_simulator_announces(made, link, anno
 def test_a_robot_that_announces_nothing_has_torque_only_if_asked(
     made, link, announced, given, kind
 ):
-    link.announced = announced
+    link.support = announced
     loop = made(feedforward=given)
     loop.run()
     feedforward = loop.report.feedforward

@@ -24,7 +24,7 @@ _HOME = {
     for module, names in {
         "analysis.summary": ("Summary",),
         "analysis.tracking": ("Tracking",),
-        "app.convert": ("Conversion", "convert"),
+        "app.convert": ("convert",),
         "app.record": ("record",),
         "app.rollout": ("rollout",),
         "app.session": ("Session", "open_session"),

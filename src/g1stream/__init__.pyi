@@ -2,7 +2,6 @@
 from g1stream._version import __version__ as __version__
 from g1stream.analysis.summary import Summary as Summary
 from g1stream.analysis.tracking import Tracking as Tracking
-from g1stream.app.convert import Conversion as Conversion
 from g1stream.app.convert import convert as convert
 from g1stream.app.record import record as record
 from g1stream.app.rollout import rollout as rollout

@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from scipy.spatial.transform import Rotation
 
-from g1stream.app.convert import Conversion, convert
+from g1stream.app.convert import convert
 from g1stream.errors import ConfigError, MotionError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
@@ -86,7 +86,7 @@ def urdf():
     ids=str,
 )
 def test_link_poses_match_yourdfpy(motion, urdf, out, options):
-    report = convert(motion, out, Conversion(**options))
+    report = convert(motion, out, **options)
     messages = read(out)
     assert {topic: len(found) for topic, found in messages.items()} == report.counts
     assert report.counts == {"/tf": 150, JOINTS: 150, "/scene": 1, "/robot_description": 1}
@@ -114,7 +114,7 @@ def stamps_of(body):
 @pytest.mark.parametrize(("how", "rate"), [({}, 30), ({"fps": 15.0}, 15), ({"resample": 90.0}, 90)])
 def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out, how, rate):
     resample = how.get("resample")
-    convert(motion, out, Conversion(base_time_ns=T0, resample=resample), fps=how.get("fps"))
+    convert(motion, out, base_time_ns=T0, resample=resample, fps=how.get("fps"))
     messages = read(out)
     for topic in ("/tf", JOINTS):
         for frame, (message, body) in enumerate(messages[topic]):
@@ -133,7 +133,7 @@ def test_a_frame_range_has_the_messages_of_the_whole(motion, out, tmp_path):
     convert(motion, out)
     whole, part = read(out), tmp_path / "part.mcap"
     for frames, kept in (((10, 140), range(10, 140)), ((145, None), range(145, 150))):
-        convert(motion, part, Conversion(frames=frames, force=True))
+        convert(motion, part, frames=frames, force=True)
         cut = read(part)
         for topic in ("/tf", JOINTS):
             due = [whole[topic][i][0] for i in kept]
@@ -142,7 +142,7 @@ def test_a_frame_range_has_the_messages_of_the_whole(motion, out, tmp_path):
 
 
 def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out):
-    report = convert(motion, out, Conversion(resample=90.0))
+    report = convert(motion, out, resample=90.0)
     assert report.rate == 90.0
     bodies = [body for _, body in read(out)[JOINTS]]
     assert len(bodies) == 149 * 3 + 1
@@ -158,7 +158,7 @@ def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out)
 
 def test_the_transforms_alone(motion, out, tmp_path):
     """As the tutorial of Foxglove makes them: one topic, and nothing attached."""
-    report = convert(motion, out, Conversion(only_tf=True))
+    report = convert(motion, out, only_tf=True)
     assert (report.counts, report.frames) == ({"/tf": 150}, 150)
     whole = tmp_path / "whole.mcap"
     convert(motion, whole)
@@ -202,7 +202,7 @@ def test_the_same_input_gives_the_same_bytes(out, tmp_path):
 )
 def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, error, message):
     with pytest.raises(error, match=message):
-        convert(motion, out, Conversion(**options))
+        convert(motion, out, **options)
     assert list(out.parent.iterdir()) == []
 
 

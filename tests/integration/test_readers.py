@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.app.convert import Conversion, convert
+from g1stream.app.convert import convert
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import read_visuals
 
@@ -27,7 +27,7 @@ FRAMES = (100, 160)
 @pytest.fixture(scope="module")
 def converted(tmp_path_factory):
     path = tmp_path_factory.mktemp("converted") / "demo.mcap"
-    convert("demo", path, Conversion(frames=FRAMES, base_time_ns=T0))
+    convert("demo", path, frames=FRAMES, base_time_ns=T0)
     return path
 
 

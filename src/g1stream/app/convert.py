@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.types import Ints
 
-__all__ = ["Conversion", "ConvertReport", "convert", "frame_timestamps", "parse_time"]
+__all__ = ["ConvertReport", "convert", "frame_timestamps", "parse_time"]
 
 #: Poses in one chunk. A chunk (about 6 kB a pose) fits into the processor's cache, which makes
 #: encoding several times faster, and is large enough to compress well.
@@ -54,32 +54,6 @@ _ISO: Final = re.compile(
     r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?[0-5]\d)?",
     re.IGNORECASE,
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Conversion:
-    """Options of a conversion from a motion to a session file.
-
-    Attributes:
-        base_time_ns: time of frame 0, ns since the epoch.
-        frames: (first, stop) as in a slice; None means the motion's start or end.
-        resample: rate at which to sample the spline through the frames, Hz; None writes the frames
-            themselves.
-        floating_root: False fixes the root link at the world's origin.
-        flat: make every link a child of the world instead of its parent link.
-        only_tf: write the transforms alone: no joint states, scene, URDF or attached motion.
-        meshes: show the URDF's meshes, simplified, or the real G1's (extra `meshes`).
-        force: replace an existing file.
-    """
-
-    base_time_ns: int = 0
-    frames: tuple[int | None, int | None] = (None, None)
-    resample: float | None = None
-    floating_root: bool = True
-    flat: bool = False
-    only_tf: bool = False
-    meshes: bool = False
-    force: bool = False
 
 
 @dataclass(frozen=True)
@@ -116,10 +90,17 @@ class ConvertReport:
 def convert(
     motion: Motion | str | Path,
     out: str | Path,
-    options: Conversion | None = None,
     *,
     robot: G1 | None = None,
     fps: float | None = None,
+    base_time_ns: int = 0,
+    frames: tuple[int | None, int | None] = (None, None),
+    resample: float | None = None,
+    floating_root: bool = True,
+    flat: bool = False,
+    only_tf: bool = False,
+    meshes: bool = False,
+    force: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> ConvertReport:
     """Write a motion as a session file: transforms, joint states, scene and URDF of the robot.
@@ -130,15 +111,22 @@ def convert(
     Args:
         motion: a motion, a motion file, a session file, or the name of a bundled motion.
         out: the session file.
-        options: see `Conversion`.
         robot: the robot whose joints the motion has; the 29-dof G1 if None.
         fps: frame rate of the motion file; the motion's own if None.
+        base_time_ns: time of frame 0, ns since the epoch.
+        frames: (first, stop) as in a slice; None means the motion's start or end.
+        resample: rate at which to sample the spline through the frames, Hz; None writes the frames
+            themselves.
+        floating_root: False fixes the root link at the world's origin.
+        flat: make every link a child of the world instead of its parent link.
+        only_tf: write the transforms alone: no joint states, scene, URDF or attached motion.
+        meshes: show the URDF's meshes, simplified, or the real G1's (extra `meshes`).
+        force: replace an existing file.
         on_progress: called with the fraction done, 0 to 1.
 
     Raises:
         G1StreamError: the motion, the robot, an option or the file is not valid.
     """
-    options = options or Conversion()
     out = Path(out)
     check_suffix(out, "a session file; motion files end in .csv or .npz", ".mcap")
     robot = robot or G1.default()
@@ -146,39 +134,48 @@ def convert(
         motion = load_motion(motion, fps=fps)
     elif fps is not None:
         motion = replace(motion, fps=fps)
-    start, stop = _frame_range(motion, options.frames)
-    first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
-    transforms = TransformsEncoder(robot, flat=options.flat)
-    fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
+    start, stop = _frame_range(motion, frames)
+    first, last = frame_timestamps(base_time_ns, (start, stop - 1), motion.fps).tolist()
+    transforms = TransformsEncoder(robot, flat=flat)
+    fields = ("position",) if resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
     check_not_input(out, motion.source, Path(robot.source))
-    meshes = None if options.only_tf else meshes_of(robot, simplified=options.meshes)
-    with (
-        complete_file(out, force=options.force) as temporary,
-        SessionWriter(temporary) as writer,
-    ):
-        _write_file_header(writer, motion, robot, options, first, meshes)
-        for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
-            root = (root_pos, root_quat) if options.floating_root else IDENTITY_POSE
+    drawn = None if only_tf else meshes_of(robot, simplified=meshes)
+    how = {
+        "base_time_ns": base_time_ns,
+        "frames": frames,
+        "resample": resample,
+        "floating_root": floating_root,
+        "flat": flat,
+        "only_tf": only_tf,
+        "meshes": meshes,
+    }
+    with complete_file(out, force=force) as temporary, SessionWriter(temporary) as writer:
+        writer.add_metadata(_metadata(motion, robot, how))
+        if not only_tf:
+            _write_file_header(writer, motion, robot, first, drawn)
+        poses_of_motion = _poses(motion, base_time_ns, resample, start, stop)
+        for times, joint_pos, root_pos, root_quat, *rates in poses_of_motion:
+            root = (root_pos, root_quat) if floating_root else IDENTITY_POSE
             poses = transforms.encode(times, joint_pos, *root)
             writer.write_batch(_TF, poses, times, times)
-            if not options.only_tf:
+            if not only_tf:
                 joints = joint_states.encode(times, joint_pos, *rates)
                 writer.write_batch(_JOINTS, joints, times, times)
             writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
     warnings = motion.warnings
-    if meshes and meshes.missing:
+    if drawn and drawn.missing:
         warnings += (
-            f"{robot.source}: meshes not found: {len(meshes.missing)}, such as "
-            f"{meshes.missing[0]}; the scene has only their names.",
+            f"{robot.source}: meshes not found: {len(drawn.missing)}, such as "
+            f"{drawn.missing[0]}; the scene has only their names.",
         )
     return ConvertReport(
         path=out,
         size=out.stat().st_size,
         motion=motion.name,
         frames=writer.counts[_TF],
-        rate=options.resample or motion.fps,
+        rate=resample or motion.fps,
         start_ns=first,
         end_ns=last,
         counts=writer.counts,
@@ -197,14 +194,15 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
     return start, stop
 
 
-def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:
+def _poses(
+    motion: Motion, base: int, rate: float | None, start: int, stop: int
+) -> Iterator[tuple[Any, ...]]:
     """The poses to write, `_CHUNK` rows at a time: frames, or samples of the spline.
 
     Yields:
         times (T,) ns, joint_pos (T, 29), root_pos (T, 3), root_quat_wxyz (T, 4) and, if
         resampled, joint_vel and joint_acc (T, 29).
     """
-    base, rate = options.base_time_ns, options.resample
     parts: Iterable[tuple[Any, ...]]
     if rate is None:
         times, rows = frame_timestamps(base, range(start, stop), motion.fps), slice(start, stop)
@@ -225,21 +223,17 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
 
 
 def _write_file_header(
-    writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int, meshes: Any
+    writer: SessionWriter, motion: Motion, robot: G1, first: int, meshes: Any
 ) -> None:
-    """Write the file's metadata, attachments, scene and URDF."""
-    writer.add_metadata(_metadata(motion, robot, options))
-    if options.only_tf:
-        return
+    """Write the file's attachments, scene and URDF."""
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, MotionInfo.from_motion(motion), first)
     writer.write(_SCENE, encode_scene(first, robot, meshes), first, first)
     writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
 
 
-def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
+def _metadata(motion: Motion, robot: G1, how: dict[str, Any]) -> dict[str, Any]:
     """The motion and options of the conversion; equal for equal input on every machine."""
-    how = {k: v for k, v in vars(options).items() if k != "force"}
     return {
         "g1stream": __version__,
         "made_by": "g1stream convert",

@@ -300,10 +300,14 @@ class Convert(MotionPartFlags, QuietFlag):
     def _session_file(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.app.convert import Conversion, convert, parse_time
+        from g1stream.app.convert import convert, parse_time
         from g1stream.robot.model import G1
 
-        options = Conversion(
+        robot = G1.load(self.urdf)
+        report = convert(
+            self.load(self.motions, robot),
+            self.out,
+            robot=robot,
             base_time_ns=parse_time(self.base_time),
             frames=_frames(self.frames),
             resample=self.resample,
@@ -312,10 +316,7 @@ class Convert(MotionPartFlags, QuietFlag):
             only_tf=self.only == "tf",
             meshes=self.meshes,
             force=self.force,
-        )
-        robot = G1.load(self.urdf)
-        report = convert(
-            self.load(self.motions, robot), self.out, options, robot=robot, on_progress=on_progress
+            on_progress=on_progress,
         )
         text = (
             f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "

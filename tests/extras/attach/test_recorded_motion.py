@@ -3,7 +3,7 @@ import pytest
 
 import g1stream
 from g1stream.analysis.signals import signal
-from g1stream.app.convert import Conversion, convert
+from g1stream.app.convert import convert
 from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.motion.readers import find_motion, load_motion
@@ -84,5 +84,5 @@ def test_the_input_file_is_not_overwritten(tmp_path):
     convert("demo", source)
     before = source.read_bytes()
     with pytest.raises(RecordingError, match=str(source)):
-        convert(source, source, Conversion(force=True))
+        convert(source, source, force=True)
     assert source.read_bytes() == before

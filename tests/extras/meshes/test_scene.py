@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from g1stream.app.convert import Conversion, convert
+from g1stream.app.convert import convert
 from g1stream.app.session import open_session
 from g1stream.errors import RobotError
 from g1stream.extras.meshes.meshes import find_mesh, read_stl, real_g1
@@ -117,7 +117,7 @@ def test_without_meshes_there_are_none(robot):
 @pytest.mark.slow
 def test_a_conversion_has_the_triangles_of_the_real_robot(real, robot, tmp_path):
     out = tmp_path / "out.mcap"
-    report = convert("demo", out, Conversion(meshes=True, frames=(0, 2)))
+    report = convert("demo", out, meshes=True, frames=(0, 2))
     (data,) = (message.data for message in open_session(out).messages("/scene"))
     entities = SceneUpdate.FromString(data).entities
     assert {entity.frame_id for entity in entities} < set(robot.link_names)
@@ -131,6 +131,6 @@ def test_a_conversion_warns_of_meshes_that_are_only_named(robot, tmp_path):
     mesh = "<visual><geometry><mesh filename='gone.stl'/></geometry></visual></link>"
     urdf.write_text(robot.urdf.replace("</link>", mesh, 1))
     frames = {"frames": (0, 2), "force": True}
-    for options, told in ((Conversion(**frames), 1), (Conversion(only_tf=True, **frames), 0)):
-        report = convert("demo", tmp_path / "out.mcap", options, robot=G1.load(urdf))
+    for options, told in ((frames, 1), ({"only_tf": True} | frames, 0)):
+        report = convert("demo", tmp_path / "out.mcap", robot=G1.load(urdf), **options)
         assert sum("gone.stl" in warning for warning in report.warnings) == told

@@ -376,7 +376,7 @@ def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
 
 
 def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
-    from g1stream.app.convert import Conversion, convert
+    from g1stream.app.convert import convert
 
     robot = _robot(case.config)
     written = WRITTEN.get(case.format)
@@ -387,7 +387,7 @@ def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     elif suffix in MOTION_SUFFIXES:
         motion.save(path, force=True)
     else:
-        convert(motion, path, Conversion(force=True), robot=robot)
+        convert(motion, path, force=True, robot=robot)
     rows.motion.output = str(path.relative_to(case.out))
 
 

@@ -236,13 +236,11 @@ def test_where_the_motion_was_to_begin(play, summarise, start):
 def test_warnings_that_differ_in_numbers_only_are_one_problem(play, write_session):
     session = open_session(write_session(*play(phases=SHORT), without("stream")))
     events = [("WARNING", "7 late"), ("WARNING", "9 late"), ("ERROR", "the end")]
-    events.append(("INFO", "feed-forward: dynamics, held bolted"))
     session.log = [LogEvent(0, level, "stream", text) for level, text in events]
     *_, late, end = session.summary().problems
     assert "9 late" in late
     assert "2" in late
     assert "the end" in end
-    assert session.summary().feedforward_log == ["dynamics, held bolted"]
 
 
 def test_of_two_motions_in_one_session_no_tracking_is_claimed(play, summarise):

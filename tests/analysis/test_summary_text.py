@@ -166,7 +166,6 @@ CASES = {
         ),
         tracking=with_delay(None, excluded_states=0),
         topics={"/scene": MessageStats(count=1)},
-        feedforward_log=["dynamics of a robot that is held bolted"],
         problems=[f"problem {i}" for i in range(14)],
     ),
     "a policy that failed, behind its commands": Summary(

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from g1stream.session.records import MotionInfo, ParametersInfo, PhaseInterval
 
 __all__ = [
-    "FEEDFORWARD",
     "SUMMARY_COLUMNS",
     "find_problems",
     "flat",
@@ -61,9 +60,6 @@ __all__ = [
     "summarise",
     "summarise_run",
 ]
-
-FEEDFORWARD: Final = "feed-forward: "
-"""Prefix of the stream's log messages about its feed-forward."""
 
 SUMMARY_COLUMNS: Final[Mapping[type[Stream], tuple[str, ...]]] = {
     **dict.fromkeys(STREAMS.values(), ("publish_time",)),
@@ -153,11 +149,6 @@ def summarise(session: Recording) -> Summary:
         phases=session.phases,
         termination=_termination(session, info, stream, recorder, streams),
         stream=stream,
-        feedforward_log=[
-            event.text.removeprefix(FEEDFORWARD)
-            for event in session.log
-            if event.text.startswith(FEEDFORWARD)
-        ],
         recorder=recorder,
         # An error over several motions would describe none of them.
         tracking=followed if played(session.phases) <= 1 else None,

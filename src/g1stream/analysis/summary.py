@@ -162,7 +162,6 @@ class Summary(Record):
         absent: names of the joints that the robot lacks.
         phases: in order.
         termination: how it ended.
-        feedforward_log: log messages about feed-forward, also of a killed stream.
         recorder: counters of the recorder.
         tracking: the tracking error.
         spoilt_by_ms: longest stop or jump of the robot's own time in PLAY, if above 40 ms and if
@@ -195,7 +194,6 @@ class Summary(Record):
     absent: list[str] = []
     phases: list[PhaseInterval] = []
     termination: Termination = Termination()
-    feedforward_log: list[str] = []
     recorder: RecorderSummary | None = None
     tracking: TrackingSummary | None = None
     spoilt_by_ms: float | None = None
@@ -238,10 +236,8 @@ class Summary(Record):
 
     def __str__(self) -> str:
         """The summary as text of `WIDTH` columns, with sections for what there is."""
-        log = self.feedforward_log  # all that a stream that was killed has left
-        stream = stream_facts(self.stream) if self.stream else [("feed-forward", "; ".join(log))]
-        if self.selected:  # the counters are those of the whole session
-            stream = []
+        # Of a selection, the counters are those of the whole session.
+        stream = stream_facts(self.stream) if self.stream and not self.selected else []
         sections = (
             _lines(session_facts(self)),
             _tracking_lines(self.tracking, self) if self.tracking else [],

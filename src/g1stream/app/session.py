@@ -235,7 +235,8 @@ class Session(Recording):
             every = chain.from_iterable(one.items() for one in chain([first], rounds))
             # Otherwise nothing would show that the end of it is lost.
             metadata = self.metadata if self.closed else self.metadata | {"repaired": True}
-            writer.copy(metadata, self.attachments, self.start_ns, every)
+            time_ns = self.start_ns if self.attachments else 0  # it reads a topic
+            writer.copy(metadata, self.attachments, time_ns, every)
         return path
 
     def to_dataframe(self, topic: str | None = None) -> pandas.DataFrame:

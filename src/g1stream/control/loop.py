@@ -189,12 +189,12 @@ class StreamLoop:
         self._yield_to_guard(deadline)
         if self.newest and self.newest.due != deadline:
             self._catch_up(deadline, deadline - self.newest.due)
-        self._publish(deadline)
-        begun = self._clock.now()
-        self._receive(begun)
-        self._advance(begun, deadline + self._period)
+        self._send(deadline)  # what the tick before has prepared
+        begun, following = self._clock.now(), deadline + self._period
+        self._take(begun)  # a Reading of the newest LowState
+        self._step(begun, following, self._judge(begun, following))  # WAIT to DONE
         if Phase.WAIT < self.state.phase < Phase.DONE:
-            self._prepare(deadline + self._period)
+            self._prepare(following)  # the reference, the source, the limits, the bytes
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
 
@@ -204,7 +204,8 @@ class StreamLoop:
             return
         if stop := self._replaced():
             self._stop = self._stop or stop
-            self._advance(self._clock.now(), deadline)
+            now = self._clock.now()
+            self._step(now, deadline, self._judge(now, deadline))
             self._prepare(deadline)
 
     def _catch_up(self, deadline: int, gap: int) -> None:
@@ -227,11 +228,12 @@ class StreamLoop:
             else:
                 self.report.delay += delay
             now = self._clock.now()
-            self._receive(now)  # first, because the age of the newest state is checked next
-            self._advance(now, deadline)
+            self._take(now)  # first, because the age of the newest state is checked next
+            self._step(now, deadline, self._judge(now, deadline))
         self._prepare(deadline)
 
-    def _publish(self, deadline: int) -> None:
+    def _send(self, deadline: int) -> None:
+        """Publish the newest command and its Reference."""
         prepared = self.newest
         if prepared is None:
             return
@@ -250,7 +252,8 @@ class StreamLoop:
         report.first_sent = report.first_sent or written
         report.last_sent = written
 
-    def _receive(self, now: int) -> None:
+    def _take(self, now: int) -> None:
+        """Check the newest LowState, and keep its reading unless it is dropped."""
         publisher = self._link.receive(self._low_state)
         if publisher is None:
             return
@@ -269,27 +272,32 @@ class StreamLoop:
         """(29,) rad, the newest joint targets; None before the first command."""
         return self.newest.target.q if self.newest else None
 
-    def _advance(self, now: int, deadline: int) -> None:
+    def _judge(self, now: int, deadline: int) -> Inputs:
+        """Why the first command has to wait, and why the run has to end."""
         if self._requested:
             self._end_as_requested(deadline, self._requested)
+        state, missing = self.state, ""
+        unknown = self._robot_unknown(now)
+        if state.phase is Phase.WAIT:
+            missing = unknown or self._checks.missing or self._link.unready()
+            if missing and state.elapsed(now) >= self._next_told:
+                self._next_told = state.elapsed(now) + _TOLD_AGAIN
+                longest = self._schedule.timing.wait / 1e9
+                _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
+        stop = self._reason_to_stop(now, unknown)
+        if stop and state.phase < Phase.DAMP:  # commands of the guard look like another writer
+            stop = self._replaced() or stop
+        return Inputs(missing, stop)
+
+    def _step(self, now: int, deadline: int, inputs: Inputs) -> None:
+        """Advance to the phase of the command at `deadline`."""
         before = self.state
         if before.phase is Phase.RAMP:
             self._schedule.wait_in_ramp(deadline, self._feedforward.status.awaited)
         elif self._in_robot_time and before.phase in (Phase.PLAY, Phase.HOLD):
             self._schedule.delay(self._robot_time.wait(now))
             self.report.waited = self._robot_time.delay
-        unknown = self._robot_unknown(now)
-        missing = ""
-        if before.phase is Phase.WAIT:
-            missing = unknown or self._checks.missing or self._link.unready()
-            if missing and before.elapsed(now) >= self._next_told:
-                self._next_told = before.elapsed(now) + _TOLD_AGAIN
-                longest = self._schedule.timing.wait / 1e9
-                _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
-        stop = self._reason_to_stop(now, unknown)
-        if stop and before.phase < Phase.DAMP:  # commands of the guard look like another writer
-            stop = self._replaced() or stop
-        self._schedule.advance(deadline, Inputs(missing, stop))
+        self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
             self._enter_phase(before)
         elif self.state.phase is Phase.RAMP:
@@ -387,7 +395,7 @@ class StreamLoop:
             try:
                 self._clock.sleep_until(deadline)
                 self._commands.compose(target, target, deadline, self._measured)
-                self._publish(deadline)
+                self._send(deadline)
                 deadline = max(deadline + self._period, self._clock.now())
             except BaseException as error:  # noqa: PERF203  damping continues, also after Ctrl-C
                 failure = failure or error

@@ -337,7 +337,7 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     if "/lowstate" in found.topics:
         order = np.argsort(session.measured.published, kind="stable")
         states = session.measured.published[order]
-        # Of a recorder that was killed or failed, the file may lack states that commands have used.
+        # The file of a recorder that was killed or failed may lack states that commands have used.
         whole = session.closed and not (summary.recorder and summary.recorder.stopped)
         seen = (commands <= states[-1]) | whole
         newest = np.searchsorted(states, commands, side="right") - 1

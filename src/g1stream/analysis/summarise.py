@@ -69,7 +69,7 @@ SUMMARY_COLUMNS: Final[Mapping[type[Stream], tuple[str, ...]]] = {
 }
 """The columns of a session that `summarise` reads."""
 
-# What a robot does not notice is in the figures and is no problem.
+# A robot's motion visibly changes from these thresholds on; smaller values are only figures.
 #: A publish interval of more than so many medians is a gap.
 _GAP: Final = 3.0
 #: Lateness of a command, s, and fraction of skipped commands.

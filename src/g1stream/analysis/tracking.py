@@ -369,7 +369,7 @@ def compare(
     for part in blocks(len(states)):
         asked = compared.where(part).interpolate(q)
         sums.add(asked - positions[states[part]], motion_time[part])
-    # Of states without a gap it is a view: a long recording has much of everything.
+    # States without a gap are a view, because a long recording takes much memory.
     whole = (np.diff(states) == 1).all()
     done = positions[states[0] : states[-1] + 1] if whole else positions[states]
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]

@@ -225,7 +225,7 @@ def print_lines(text: str, file: TextIO | None = None) -> None:
 
 
 def print_verdict(text: str, *, failed: bool, file: TextIO | None = None) -> None:
-    """Print the verdict on a condition as `print_lines` does; with --quiet a failed one is left."""
+    """Print the verdict on a condition; --quiet leaves out those that are met."""
     print_lines(text, sys.stderr if failed and is_quiet() else file)
 
 

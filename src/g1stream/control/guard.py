@@ -449,7 +449,7 @@ def _fence(heartbeat: Heartbeat, settings: _Settings, why: Takeover) -> None:
     waits for it; a process that is stopped is not within such a send.
     """
     for descriptor in settings.sockets:
-        # Of a UDP socket, Linux shuts down the sending and reports that there is no connection.
+        # Linux shuts down the sending of a UDP socket, and reports that there is no connection.
         with suppress(OSError), socket.socket(fileno=descriptor) as shared:
             shared.shutdown(socket.SHUT_WR)
     if why is Takeover.SILENT and heartbeat.writing:

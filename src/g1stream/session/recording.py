@@ -144,7 +144,7 @@ class Recording:
         self.metadata = source.metadata
         self.computed: dict[Callable[..., Any], Any] = {}
         self._streams: dict[type[Stream], Any] = {}
-        # Of a selection: what it is a part of, and the ranges of time (first, end), s.
+        # The recording that a selection is a part of, and its ranges of time (first, end), s.
         self._whole: Recording | None = None
         self._ranges: Sequence[tuple[float, float]] = ()
         if not has_essentials(source.topics):

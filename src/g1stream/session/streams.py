@@ -59,9 +59,9 @@ class Stream:
     """N samples of one topic, oldest first; all arrays are read-only.
 
     Columns are read from the file when they are first used: the two times alone, any other column
-    together with all that are not read yet. `read` reads only those that it names. What the wire
-    has as float32 takes the memory of a float64 only from when it is first used as an attribute;
-    `rows` gives some samples without that. An index, slice or boolean mask gives a stream of these
+    together with all that are not read yet. `read` reads only those that it names. Columns of
+    float32 are converted to float64 when an attribute is first read; `rows` does not convert the
+    whole column. An index, slice or boolean mask gives a stream of these
     samples: `session.measured[mask]`.
 
     A stream of this class has only the times of the messages of some topic. Subclasses say where
@@ -120,7 +120,7 @@ class Stream:
         return self
 
     def missing(self, *columns: str) -> list[str]:
-        """Of some columns and the times, those that are not read yet; of all if none are named.
+        """Which of some columns and the times are not read yet; of all columns if none are named.
 
         Raises:
             RecordingError: the stream has no such column.
@@ -147,7 +147,7 @@ class Stream:
             self._recorded.pop(name, None)
 
     def recorded(self, column: str) -> NDArray[Any]:
-        """(N, ...) a column, floats in the wire's precision where it was not used as float64 yet.
+        """(N, ...) a column: float32 as on the wire, unless it has been converted to float64.
 
         Raises:
             RecordingError: the file is damaged, or the stream has no such column.
@@ -367,7 +367,7 @@ class PolicyStream(Stream):
     terms = MappingProxyType[str, slice]({})
 
     def keep(self, columns: dict[str, NDArray[Any]]) -> None:
-        """As of `Stream`; of an observation what is used, and bit for bit what it was."""
+        """Keep observation and action as the float32 that the network saw, without padding."""
         exact: dict[str, NDArray[Any]] = {
             name: columns.pop(name) for name in ("observation", "action") if name in columns
         }
@@ -552,9 +552,9 @@ class LogEvent(NamedTuple):
 
 
 class Warnings:
-    """The warnings and errors of a log; of messages that differ only in numbers, the last.
+    """The warnings and errors of a log, without those of the guard.
 
-    What the guard logs is left out.
+    Messages that differ only in their numbers are counted once; the last one is shown.
 
     Args:
         events: in the order of the log.
@@ -576,7 +576,8 @@ class Warnings:
     def texts(self, last_command: int) -> list[str]:
         """The messages, in the order in which each first appeared.
 
-        That commands have stopped is left out after the last command, when their program has ended.
+        After the last command, a warning that commands have stopped is left out: their program has
+        ended.
 
         Args:
             last_command: when that was received, ns since the epoch; 0 if there was none.
@@ -595,8 +596,8 @@ def without_steps(times: Ints, steps: Sequence[int]) -> Ints:
 
     Args:
         times: (N,) ns, in the order in which they were recorded.
-        steps: by which it was set, ns. Each is taken out at the interval that is nearest to it;
-            one of which the times show nothing, as all are before it, stays.
+        steps: by which it was set, ns. Each is taken out at the interval that is nearest to it. A
+            step after the last sample has no effect.
     """
     times = times.copy()
     for step in steps:

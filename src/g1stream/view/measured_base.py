@@ -49,7 +49,7 @@ class MeasuredBase:
         self._times: Ints = np.zeros(1, dtype=np.int64)
         self._positions: Floats = np.zeros((1, 3))
         self._measured = False
-        # Of the newest valid state, and of the last one before the newest batch.
+        # The attitude of the newest valid state, and that of the last one before the newest batch.
         self._attitude = self._before = np.array([1.0, 0.0, 0.0, 0.0])
 
     def add_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:

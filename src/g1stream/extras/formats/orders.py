@@ -147,7 +147,7 @@ def order_by_bodies(
 def order_by_limits(angles: Floats, robot: G1 | None, *, motor_assumed: bool) -> Order | str:
     """The order with the fewest angles beyond the joint limits.
 
-    Of two sets of 23 joints that fit equally, the robot's is assumed, or the one without wrists.
+    If two sets of 23 joints fit equally, the robot's is assumed, or the one without wrists.
 
     Args:
         angles: (T, n) rad, n of `layouts`.

@@ -193,9 +193,7 @@ def ticks(motion: Motion) -> None:
     balance.begin(targets[0])
     hung = load_config(over={"stream.support": "hanging"})
     source = load_source(hung, ROBOT, simulated=True)
-    hanging = FeedForward(
-        "dynamics", "hanging", source=source, limit=ROBOT.torque_limit, period=0.002
-    )
+    hanging = FeedForward(source, limit=ROBOT.torque_limit, period=0.002)
     hanging.begin(targets[0], None)
     taken: dict[str, list[float]] = {"hanging": [], "feet": []}
     still = np.zeros(29, np.float32)

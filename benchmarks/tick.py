@@ -32,7 +32,6 @@ from g1stream.dds.messages import LowState
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import on_time
-from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.types import Phase
 
@@ -60,8 +59,8 @@ def parts() -> dict[str, Callable[[int], object]]:
     measured = Reading.from_low_state(at_target, 0)
 
     def torque(support: str) -> Callable[[int], object]:
-        source = HeldTorques(InverseDynamics(robot), period=PERIOD)
-        feed = FeedForward("dynamics", source=source, limit=limit, period=PERIOD)
+        source = HeldTorques(config, robot, simulated=True)
+        feed = FeedForward(source, limit=limit, period=PERIOD)
         feed.begin(target, support)
         moment = Moment(Phase.PLAY, 1.0, target, measured, 0.001)
         return lambda _: feed.command(moment)

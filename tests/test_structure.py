@@ -16,7 +16,7 @@ MOST = {
     "joints that play, kinds of G1": 51,
     "receiver": 23,
     "source: policy, balance": 29,
-    "support": 22,
+    "support": 21,
     "clock of the robot": 8,
     "simulator or robot": 26,
     "recordings of others": 18,

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig
+from g1stream.config import SafetyConfig, load_config
 from g1stream.control.command import Composer, NextCommand
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
@@ -164,7 +164,9 @@ def make_loop(clock, link, trajectory, robot, timing):
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         schedule = Schedule(targets, timing, 2 * MS)
-        plain = FeedForward("velocity", source=Source(), limit=np.full(29, 50.0), period=0.002)
+        velocity = load_config(over={"stream.feedforward": "velocity"})
+        source = Source(velocity, robot, simulated=True)
+        plain = FeedForward(source, limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
             Composer(CommandLimits(robot, safety), gains, Receiver(2 * MS, 0.2)),

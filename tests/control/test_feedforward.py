@@ -15,6 +15,7 @@ from g1stream.control.targets import Target
 from g1stream.dds.messages import LowState
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import Solution
+from g1stream.robot.model import G1, REVISIONS
 from g1stream.types import Phase
 
 NOW = 0.002
@@ -55,13 +56,15 @@ def target(trajectory):
 
 
 @pytest.fixture
-def made(model, target):
+def made(model, target, monkeypatch):
     """A feed-forward in RAMP, of a bridge that has announced its support or has not."""
+    monkeypatch.setattr("g1stream.control.sources.InverseDynamics", lambda robot: model)
 
     def make(announced=None, *, kind="dynamics", support="bolted", traits=HELD, **other):
-        source, limit = HeldTorques(model, period=0.002), np.full(29, 10.0)
+        config = load_config(over={"stream.feedforward": kind, "stream.support": support})
+        source = HeldTorques(config, G1.load(REVISIONS[1]), simulated=True)
         source.traits = traits
-        feed = FeedForward(kind, support, source=source, limit=limit, period=0.002, **other)
+        feed = FeedForward(source, limit=np.full(29, 10.0), period=0.002, **other)
         feed.begin(target, announced)
         return feed
 
@@ -149,7 +152,7 @@ def test_kind_and_support_are_decided_from_what_is_known(
     made, caplog, kind, given, announced, expected
 ):
     feed = made(announced, kind=kind, support=given)
-    assert (feed.kind, feed.support) == expected
+    assert (feed.mode.kind, feed.mode.support) == expected
     wanted = kind == "dynamics" and expected[0] == "velocity"
     contradicted = expected[0] == "dynamics" and given and announced and given != announced
     warned = any(record.levelno == logging.WARNING for record in caplog.records)
@@ -263,28 +266,3 @@ def test_the_right_support_follows_ten_times_as_closely_as_none(support):
     assert known.tracking.all_joints.rmse_rad < unknown.tracking.all_joints.rmse_rad / 10
     assert known.stream.support == support
     assert known.stream.feedforward_changes == []
-
-
-def test_under_the_robots_own_controller_the_measured_attitude_decides(
-    made, model, target, imu, events
-):
-    tilted = imu._replace(quat_wxyz=np.array([0.8, 0.6, 0, 0], np.float32))
-    feed = made("follow", kind=None, support=None, carried=True)
-    assert feed.kind == "dynamics"
-    assert feed.support is None
-    asked = command(feed, target, tilted)
-    ((support, _, base, _),) = model.asked
-    assert support == "bolted"
-    assert base.quat_wxyz == pytest.approx([0.8, 0.6, 0, 0])
-    assert asked.tau.tolist() == model.tau.tolist()
-    rng = np.random.default_rng(1)
-    for tick in range(2000):  # a robot that walks contradicts no support
-        walking = imu._replace(gyroscope=rng.normal(size=3).astype(np.float32))
-        asked = command(feed, target, walking, received=2_000_000 * tick)
-    assert asked.tau.tolist() == model.tau.tolist()
-    assert [level for level, _ in events()] == [logging.INFO]
-
-
-def test_a_robot_under_its_own_controller_sags_without_torque_and_says_so(made, events):
-    assert made(kind=None, support=None, carried=True).kind == "velocity"
-    assert [level for level, _ in events()] == [logging.WARNING]

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from g1stream.config import Config
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.sources import HeldTorques, Source
+from g1stream.control.sources import Source, Status
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.dynamics import Solution
+from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 MS = 1_000_000
@@ -100,18 +101,16 @@ def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
         assert not sent.command.tau.any()
 
 
-PLAIN = Source()
-
-
-def feedforward(kind, *args, source=PLAIN, **other):
-    return FeedForward(kind, *args, source=source, limit=np.full(29, 50.0), period=0.002, **other)
+def feedforward(kind=Source, **other):
+    source = kind(Config(), G1.default(), simulated=True)
+    return FeedForward(source, limit=np.full(29, 50.0), period=0.002, **other)
 
 
 @pytest.mark.parametrize("preview", [0.002, 0.05])
 def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     """The motion moves at up to 0.4 rad/s from its first frame to its last."""
     link.robot.q[:] = 0.1 * np.sin(np.linspace(0.1, 1.5, 29))
-    report = make_loop(feedforward=feedforward("velocity", preview=preview)).run()
+    report = make_loop(feedforward=feedforward(preview=preview)).run()
     assert report.summary().preview_s == preview
     q = np.array([sent.command.q for sent in link.sent])
     fastest = max(np.abs(sent.command.dq).max() for sent in link.sent)
@@ -120,19 +119,14 @@ def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     assert damping[0].command.q.tolist() == link.sent[-DAMP - 1].command.q.tolist()
 
 
-class ConstantTorque:
-    """A model of the robot with the same torque for every state."""
-
-    name = "constant"
-
-    def solve(self, support, q, dq, ddq, base, *, force=None):
-        return Solution(np.full(29, 8.0), np.zeros(3), np.zeros(3))
+class ConstantTorque(Source):
+    def command(self, moment):
+        return moment.target._replace(tau=np.full(29, 8.0))
 
 
 def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
     """60 ms without a LowState, the last 40 of them stale: 0.4 of the fade."""
-    feed = feedforward("dynamics", "bolted", source=HeldTorques(ConstantTorque(), period=0.002))
-    link.support = "bolted"  # needs no check, and so no model
+    feed, link.support = feedforward(ConstantTorque), "bolted"
     silent = range(150, 180)
     link.on_send = lambda i: setattr(link, "silent", i in silent)
     make_loop(feedforward=feed).run()
@@ -244,25 +238,23 @@ def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, ti
     assert blocks[1] - blocks[0] < 100
 
 
-class Awaiting(HeldTorques):
-    """Torques for a robot that is not ready for PLAY."""
+class Awaiting(ConstantTorque):
+    """Torques for a robot that is not ready for the first 200 commands."""
 
-    awaited = "the robot is not there"
+    asked, awaited = 0, "the robot is not there"
+
+    def command(self, moment):
+        self.asked += 1
+        return super().command(moment)
 
     @property
     def status(self):
-        return super().status._replace(awaited=self.awaited)
+        return Status(awaited=self.awaited if self.asked <= 200 else "")
 
 
 def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loop, link, events):
-    source = Awaiting(ConstantTorque(), period=0.002)
     link.support = "bolted"
-
-    def come(i):
-        source.awaited = "" if i >= 199 else Awaiting.awaited
-
-    link.on_send = come
-    loop = make_loop(feedforward=feedforward("dynamics", "bolted", source=source))
+    loop = make_loop(feedforward=feedforward(Awaiting))
     assert loop.run().stop is None
     coasting = 100  # commands, 0.2 s
     assert link.phases()["RAMP"] == 200 + coasting + 1

@@ -24,6 +24,7 @@ class Policy(Source):
     traits = Traits(GAINS)
 
     def __init__(self, config, robot, *, simulated):
+        super().__init__(config, robot, simulated=simulated)
         assert (config.stream.support, simulated) == ("feet", True)
         self.computed, self.seen, self.ticks = [], [], []
         self._until, self._q, self._told = 0, None, b""

@@ -6,18 +6,18 @@ Pure: time and measurements are arguments. docs/tracking.md explains the method.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final, get_args
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.control.reading import STALE, all_finite, is_unit
 from g1stream.control.robot_time import TimeScale
-from g1stream.control.sources import Status
+from g1stream.control.sources import Mode, Status
 from g1stream.control.stop import Stop
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
 from g1stream.session.records import FeedForwardChange
-from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
+from g1stream.types import FeedForwardKind, Floats, Ints, Phase
 
 if TYPE_CHECKING:
     from g1stream.control.reading import ImuReading, Reading
@@ -46,25 +46,19 @@ class FeedForward:
     the square of the time scale.
 
     Args:
-        kind: feed-forward of commands; None: `dynamics` if the bridge announces its support,
-            otherwise `velocity`.
-        support: how the robot is held; None: as the bridge announces.
-        source: computes torques for `dynamics`.
+        source: computes torques or targets.
         limit: (29,) N·m, the largest torque in either direction; 0 for joints without torque.
         period: time between commands, s.
         preview: time by which the target of a command is ahead of its publish time, s, because it
             takes effect later. None: `delay`, plus a period for a bridge that announces its
             support.
         time_scale: ratio of simulated to real time; None: it is measured.
-        carried: the robot's own controller carries the robot. Torque is computed for a pelvis at
-            rest in the attitude that the IMU measures, independent of the legs.
         delay: known time from receiving a command until the motors apply it, s.
         torque_scale: (29,) ratio of the torque that the motors apply to the commanded torque; the
             torque of the source is divided by it.
 
     Attributes:
-        kind, support: as decided when RAMP begins; None before. `kind` is None for a source that
-            observes the motion.
+        mode: as decided when RAMP begins.
         status: of the source after the newest command.
         preview: as decided, s; 0 before RAMP begins.
         scale: the measured time scale; None if it is given.
@@ -74,28 +68,22 @@ class FeedForward:
 
     def __init__(
         self,
-        kind: FeedForwardKind | None,
-        support: StreamSupport | None = None,
-        *,
         source: Source,
+        *,
         limit: Floats,
         period: float,
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
-        carried: bool = False,
         delay: float = 0.0,
         torque_scale: Floats | float = 1.0,
     ) -> None:
-        self.kind: FeedForwardKind | None = None
-        self.support: StreamSupport | None = None
-        self.status = Status()
+        self.mode, self.status = Mode(), Status()
         self.preview = 0.0
         self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
-        self._asked, self._told_support, self._source = kind, support, source
+        self._source = source
         self._told_preview, self._told_scale = preview, time_scale or 1.0
-        self._carried = carried
         self._delay, self._torque_scale = delay, torque_scale
         self._limit = limit
         self._period = period
@@ -111,49 +99,16 @@ class FeedForward:
         return Stop("fall", fall) if fall else None
 
     def begin(self, first: Target, announced: str | None, robot: str | None = None) -> None:
-        """Choose kind, support and preview, and log the choice.
-
-        Args:
-            first: the first target of PLAY.
-            announced: the support that the bridge announces; None if it does not.
-            robot: the name of the robot that it announces; None if it does not.
-
-        Raises:
-            ConfigError: there is no torque for this support.
-        """
+        """Choose the preview, and begin the source, whose arguments these are."""
         # The servo of g1stream's bridge runs at the rate of commands. On average it reads a command
         # half a period after its arrival, and holds it for a period. unitree_mujoco's bridges run
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._told_preview is None else self._told_preview
-        observes = self._source.traits.observes
-        if observes:  # the target is observed, and must be the Reference of a later tick
+        if self._source.traits.observes:  # the target must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
-        self.kind, self.support = self._asked, self._told_support
-        known: object = announced
-        if not self._carried:
-            self.support = self.support or next(
-                (one for one in get_args(Support) if one == announced), None
-            )
-            # Only the model of the extra `feet` includes ground contact.
-            known = self.support not in (None, "free") or self._source.traits.way_down
-        held = "bolted" if self._carried else self.support
-        if self.kind is None:
-            self.kind = "dynamics" if known else "velocity"
-        lacks = ""
-        if self.kind == "dynamics" and not held:
-            self.kind, lacks = "velocity", " only: the support is unknown; give --support"
-        elif self.kind != "dynamics" and self._carried:
-            lacks = " only: joints sag under their weight; use --feedforward dynamics"
-        text = f"dynamics, support {held}" if self.kind == "dynamics" else str(self.kind)
-        if self.kind == "dynamics" and held:
-            self._source.begin(first, held, held if self._carried else announced, robot)
-            self.status = self._source.status
-        if observes:  # it gives no torque
-            self.kind = None
-            return
-        level = logging.WARNING if lacks else logging.INFO
-        _LOGGER.log(level, "feed-forward: %s%s", text, lacks)
+        self.mode = self._source.begin(first, announced, robot)
+        self.status = self._source.status
 
     @property
     def time_scale(self) -> float:
@@ -168,11 +123,11 @@ class FeedForward:
     def command(self, moment: Moment) -> Target:
         """The target with the dq and tau of its command."""
         target, observes = moment.target, self._source.traits.observes
-        if self.kind == "none":
+        if self.mode.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
         if not observes:
             target = target.slowed(self.time_scale)
-        if self.kind == "velocity":
+        if self.mode.kind == "velocity":
             return target
         # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
         age = 0.0 if observes else moment.age

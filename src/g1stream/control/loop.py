@@ -349,7 +349,7 @@ class StreamLoop:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
             self._commands.begin(measured, *self._link.announced())
-            self._checks.begin("free" if self._receiver.carries else self._feedforward.support)
+            self._checks.begin("free" if self._receiver.carries else self._feedforward.mode.support)
         elif phase is Phase.PLAY:
             self._robot_time.begin(self._clock.now())
         elif phase is Phase.DAMP:
@@ -432,14 +432,11 @@ def make_loop(
     targets = Targets(plan.trajectory, start=start, played=played, way_down=down)
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
-        settings.feedforward,
-        settings.support or traits.support,
-        source=plan.source,
+        plan.source,
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,
         preview=settings.preview,
         time_scale=config.constants.time_scale,
-        carried=receiver.carries,
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )

@@ -112,7 +112,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     require_combination(config, robot, simulated=simulated)
     receiver = load_receiver(settings.via, settings.period, settings.damp)
     held = played if settings.others == "free" else robot.present & receiver.joints
-    source = load_source(config, robot, simulated=simulated)
+    source = load_source(config, robot, receiver.source, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.prepare(motion)

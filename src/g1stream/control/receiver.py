@@ -51,6 +51,7 @@ class Receiver:
         joints: (29,) the joints that are commanded, if the robot has them.
         carries: the robot's own controller keeps the robot on its feet meanwhile.
         ending: what DAMP does, as a verb for log messages.
+        source: the source for a motion, as in `SOURCES` of `control.sources`; None: any.
         end_other: what to do about another publisher of commands.
     """
 
@@ -58,6 +59,7 @@ class Receiver:
     joints: NDArray[np.bool_] = np.ones(N_JOINTS, np.bool_)
     carries: bool = False
     ending: str = "damps"
+    source: str | None = None
     end_other: str = "Stop it; `g1stream robot release` releases the robot's own controller."
 
     def __init__(self, period: int, damp: float) -> None:

@@ -122,7 +122,7 @@ class LoopReport:
     def summary(self, **about: Any) -> StreamSummary:
         """The counters as a record for output and files; `about` has the remaining fields."""
         late, ramp, feed = self.lateness, self.schedule.ramp, self.feedforward
-        status = feed.status
+        mode, margins = feed.mode, feed.status.margins
         percentiles = None
         if late.n:
             p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
@@ -146,12 +146,12 @@ class LoopReport:
             speed_limited_ticks=by_joint(self.limits.speed.limited.tolist()),
             torque_limited_ticks=by_joint(self.limits.torque.limited.tolist()),
             saturated_ticks=by_joint(feed.saturated.tolist()),
-            feedforward=feed.kind,
-            support=feed.support,
-            preview_s=feed.preview if feed.kind else None,
+            feedforward=mode.kind,
+            support=mode.support,
+            preview_s=feed.preview if mode.kind else None,
             feedforward_changes=feed.changes,
-            balance=BalanceSummary.model_validate(status.margins) if status.margins else None,
-            robot=status.robot,
+            balance=BalanceSummary.model_validate(margins) if margins else None,
+            robot=mode.robot,
             time_scale=feed.scale.median if feed.scale else None,
             states_used=self.states,
             states_wrong_crc=self.checks.crc_errors,

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.optional import load_object
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
-from g1stream.types import Phase, StreamSupport, Support
+from g1stream.types import FeedForwardKind, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.session.records import PolicyInfo
 
-__all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "Status", "Traits", "load_source"]
+__all__ = ["SOURCES", "HeldTorques", "Mode", "Moment", "Source", "Status", "Traits", "load_source"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ SOURCES: Final = {
 """Sources that are extras, as `module:class`, by `stream.support`, and `policy` for
 `stream.policy`.
 
-To add one, add a row. The class takes the same arguments as `load_source`."""
+To add one, add a row."""
 
 
 class Moment(NamedTuple):
@@ -77,7 +77,6 @@ class Traits:
 
     Attributes:
         gains: gains for the targets; None: those of the config.
-        support: default support of the robot; None: as the bridge announces.
         way_down: motion with which HOLD ends, of a robot on its own feet. It falls without the
             source, so the run ends when the torque has faded out. None: the robot is held.
         observes: the motion is not commanded, but an input. `prepare` returns the part that the
@@ -87,10 +86,23 @@ class Traits:
     """
 
     gains: Gains | None = None
-    support: StreamSupport | None = None
     way_down: WayDown | None = None
     observes: bool = False
     about: PolicyInfo | None = None
+
+
+class Mode(NamedTuple):
+    """How commands are made, as decided when RAMP begins.
+
+    Attributes:
+        kind: what commands have beside positions; None for a source that observes the motion.
+        support: how the robot is held; None: unknown.
+        robot: name of the robot's model; None without a model.
+    """
+
+    kind: FeedForwardKind | None = None
+    support: StreamSupport | None = None
+    robot: str | None = None
 
 
 class Status(NamedTuple):
@@ -102,7 +114,6 @@ class Status(NamedTuple):
         awaited: the event that RAMP waits for; "" if it need not wait.
         stands: the robot is already on its feet in RAMP, so that it can go down from there.
         told: the newest step of a policy, as it is published with the command; b"" without a step.
-        robot: name of the robot's model; None without a model.
         margins: fields of `BalanceSummary`; empty for a robot that is held.
     """
 
@@ -111,7 +122,6 @@ class Status(NamedTuple):
     awaited: str = ""
     stands: bool = False
     told: bytes = b""
-    robot: str | None = None
     margins: Mapping[str, float] = MappingProxyType({})
 
 
@@ -121,9 +131,15 @@ class Source:
     A source is made for one run before anything is sent. It raises an error if it cannot fulfil the
     settings. `prepare` is called once, then `begin` once, then `command` in each tick, in the
     loop's thread.
+
+    Args:
+        config, robot, simulated: as of `load_source`.
     """
 
     traits: Traits = Traits()
+
+    def __init__(self, config: Config, robot: G1, *, simulated: bool) -> None:
+        self._kind, self._support = config.stream.feedforward, config.stream.support
 
     def prepare(self, motion: Motion) -> tuple[Motion, str]:
         """Adapt the motion for this source, before its limits are checked.
@@ -137,20 +153,29 @@ class Source:
         """
         return motion, ""
 
-    def begin(
-        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
-    ) -> None:
-        """Prepare for the support of the robot when RAMP begins.
+    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+        """Choose how commands are made when RAMP begins, and log the choice.
 
         Args:
             first: the first target of PLAY.
-            support: how the robot is held.
             announced: the support that the bridge announces; None if it does not.
             robot: the name of the robot that the bridge announces; None if it does not.
 
         Raises:
             ConfigError: there is no torque for this support.
         """
+        known = (one for one in get_args(Support) if one == announced)
+        support = self._support or next(known, None)
+        # Only the model of the extra `feet` includes ground contact.
+        kind = self._kind or ("velocity" if support in (None, "free") else "dynamics")
+        if kind != "dynamics":
+            _LOGGER.info("feed-forward: %s", kind)
+        elif support:
+            _LOGGER.info("feed-forward: dynamics, support %s", support)
+        else:
+            kind = "velocity"
+            _LOGGER.warning("feed-forward: velocity only: the support is unknown; give --support")
+        return Mode(kind, support)
 
     def command(self, moment: Moment) -> Target:
         """The target of a command, with feed-forward torque, which is added to the servos'.
@@ -167,12 +192,13 @@ class Source:
         return Status()
 
 
-def load_source(config: Config, robot: G1, *, simulated: bool) -> Source:
+def load_source(config: Config, robot: G1, own: str | None = None, *, simulated: bool) -> Source:
     """Load the source that a config selects.
 
     Args:
         config: the settings in force.
         robot: the robot.
+        own: the source of the receiver for a motion, as in `SOURCES`; None: that of a held robot.
         simulated: only a simulator can be reached.
 
     Raises:
@@ -181,63 +207,46 @@ def load_source(config: Config, robot: G1, *, simulated: bool) -> Source:
         RobotError: there is no dynamics model of this robot.
     """
     settings = config.stream
-    if place := SOURCES.get("policy" if settings.policy else settings.support or ""):
-        made: Source = load_object(place)(config, robot, simulated=simulated)
-        return made
-    if settings.feedforward not in (None, "dynamics"):
-        return Source()
-    models = [InverseDynamics(one) for one in possible_revisions(robot, simulated=simulated)]
-    return HeldTorques(*models, period=settings.period / 1e9)
-
-
-def possible_revisions(robot: G1, *, simulated: bool) -> list[G1]:
-    """The robot that is assumed if none is announced, then the other one that may be announced.
-
-    Without a setting the revision is not known. A simulator that announces nothing is
-    unitree_mujoco, which has g1_29dof.
-    """
-    if robot is not G1.default():
-        return [robot]
-    revisions = [robot, G1.load(REVISIONS[1])]
-    return revisions[::-1] if simulated else revisions
+    place = SOURCES.get("policy" if settings.policy else settings.support or "", own)
+    torques = settings.feedforward in (None, "dynamics")
+    kind: type[Source] = HeldTorques if torques else Source
+    return (load_object(place) if place else kind)(config, robot, simulated=simulated)
 
 
 class HeldTorques(Source):
     """Torques from inverse dynamics of the reference, for a robot with a known support.
 
-    Args:
-        dynamics: the model of the robot, unless the bridge announces the alternative.
-        alternative: the model of another revision of the robot; None: the robot is known.
-        period: time between commands, s.
+    Attributes:
+        robots: the robot that is assumed if none is announced, then the other one that may be
+            announced. Without a setting the revision is not known. A simulator that announces
+            nothing is unitree_mujoco, which has g1_29dof.
     """
 
-    def __init__(
-        self,
-        dynamics: InverseDynamics,
-        alternative: InverseDynamics | None = None,
-        *,
-        period: float,
-    ) -> None:
-        self._dynamics, self._alternative = dynamics, alternative
-        self._period = period
-        self._support: Support = "bolted"
+    def __init__(self, config: Config, robot: G1, *, simulated: bool) -> None:
+        super().__init__(config, robot, simulated=simulated)
+        self.robots = [robot]
+        if robot is G1.default():
+            self.robots = [robot, G1.load(REVISIONS[1])][:: -1 if simulated else 1]
+        self._models = [InverseDynamics(one) for one in self.robots]
+        self._dynamics = self._models[0]
+        self._period = config.stream.period / 1e9
+        self._held: Support = "bolted"
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
-        self._before: Moment | None = None
+        self._last: Moment | None = None
 
     @property
     def status(self) -> Status:
         fault = ""
         if self._check and self._check.wrong:
-            fault = f"the robot does not move as with support {self._support}; correct --support"
-        return Status(fault=fault, robot=self._dynamics.name)
+            fault = f"the robot does not move as with support {self._held}; correct --support"
+        return Status(fault=fault)
 
-    def begin(
-        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
-    ) -> None:
-        if support == "feet":
-            raise ValueError("support feet needs the source of the extra `feet`")
-        self._support = support
+    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+        mode = super().begin(first, announced, robot)
+        support = mode.support
+        if mode.kind != "dynamics" or support is None or support == "feet":
+            return mode
         if announced not in (None, support):
             _LOGGER.warning(
                 "the bridge announces support %s, not %s: tracking with a wrong support is worse "
@@ -245,30 +254,33 @@ class HeldTorques(Source):
                 announced,
                 support,
             )
-        if self._alternative and robot == self._alternative.name:
-            self._dynamics = self._alternative
-        elif self._alternative and robot is None:
-            name = self._dynamics.name
-            _LOGGER.info("feed-forward: robot %s, assumed; --robot names another", name)
-        # A support that the bridge announces needs no check.
-        self._check = None if support == announced else SupportCheck(self._dynamics, support)
+        name = self.hold(support, robot)
+        if support != announced:  # one that the bridge announces needs no check
+            self._check = SupportCheck(self._dynamics, support)
+        return mode._replace(robot=name)
+
+    def hold(self, support: Support, robot: str | None) -> str:
+        """Choose the model for a support and the robot that the bridge announces; its name."""
+        self._held = support
+        for model in self._models[1:]:
+            if robot == model.name:
+                self._dynamics = model
+            elif robot is None:
+                name = self._dynamics.name
+                _LOGGER.info("feed-forward: robot %s, assumed; --robot names another", name)
         if support == "hanging":
             self._observer = ForceObserver(self._dynamics, self._period)
+        return self._dynamics.name
 
     def command(self, moment: Moment) -> Target:
         target, measured, dynamics = moment.target, moment.measured, self._dynamics
-        before, self._before = self._before, moment
-        if (
-            self._check
-            and before
-            and before.phase is Phase.PLAY
-            and measured is not before.measured
-        ):
-            self._check.add(measured, before.target.root_ang_vel, moment.scale)
+        last, self._last = self._last, moment
+        if self._check and last and last.phase is Phase.PLAY and measured is not last.measured:
+            self._check.add(measured, last.target.root_ang_vel, moment.scale)
         if moment.fault:
             return target
         imu = measured.imu
-        if self._support == "follow":
+        if self._held == "follow":
             base = BaseMotion(
                 target.root_quat_wxyz, target.root_ang_vel, target.root_lin_acc, target.root_ang_acc
             )
@@ -276,7 +288,7 @@ class HeldTorques(Source):
             rate = measured.steady_rate.astype(np.float64)
             base = BaseMotion(imu.quat_wxyz.astype(np.float64), rate)
         force = self._observer.update(imu) if self._observer else None
-        solution = dynamics.solve(self._support, target.q, target.dq, target.ddq, base, force=force)
+        solution = dynamics.solve(self._held, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
         return target._replace(tau=solution.tau)

@@ -5,7 +5,6 @@ from g1stream.config import load_config
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
 from g1stream.errors import ConfigError
-from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul
@@ -25,7 +24,7 @@ LEFT, RIGHT = (
 @pytest.fixture
 def torques(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
-    torques.begin(first, "feet", None, ROBOT.name)
+    torques.begin(first, None, ROBOT.name)
     return torques
 
 
@@ -42,8 +41,8 @@ def commanded(torques, first, tau, ramped=1.0, phase=Phase.RAMP):
 
 @pytest.mark.parametrize("ramped", [0.5, 1.0])
 def test_in_the_air_it_has_the_torque_of_a_hanging_robot_and_waits(torques, first, ramped):
-    held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
-    held.begin(first, "hanging", "hanging", ROBOT.name)
+    held = HeldTorques(load_config(), ROBOT, simulated=True)
+    held.begin(first, "hanging", ROBOT.name)
     expected = held.command(Moment(Phase.RAMP, 0.5, first, at_rest(first), 0.0)).tau
     for _ in range(20):
         command = commanded(torques, first, expected, ramped=ramped)
@@ -70,7 +69,7 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
     """At rest, with the torques that it asks for: what the feet carry grows to the weight."""
     standing = torques.balance
     tau = standing.torque(first, at_rest(first), 0.0, share=1.0)
-    torques.begin(first, "feet", None, ROBOT.name)
+    torques.begin(first, None, ROBOT.name)
     for _ in range(round(0.9 / PERIOD)):
         command = commanded(torques, first, tau)
     assert torques.status.awaited
@@ -89,4 +88,4 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
 def test_a_robot_that_a_simulator_holds_does_not_stand(first):
     torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
     with pytest.raises(ConfigError, match="bolted"):
-        torques.begin(first, "feet", "bolted", ROBOT.name)
+        torques.begin(first, "bolted", ROBOT.name)

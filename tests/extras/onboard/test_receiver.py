@@ -144,16 +144,9 @@ def test_a_tilt_ends_the_session_whatever_a_simulator_announces(made, link, anno
     assert not link.in_phase(Phase.PLAY)
 
 
-@pytest.mark.parametrize(
-    ("announced", "given", "kind"),
-    [("follow", None, "dynamics"), (None, None, "velocity"), (None, "dynamics", "dynamics")],
-)
-def test_a_robot_that_announces_nothing_has_torque_only_if_asked(
-    made, link, announced, given, kind
-):
-    link.support = announced
-    loop = made(feedforward=given)
+def test_the_torques_are_those_of_a_robot_that_its_controller_carries(made, link):
+    link.support = "follow"
+    loop = made()
     loop.run()
-    feedforward = loop.report.feedforward
-    assert (feedforward.kind, feedforward.support) == (kind, None)
-    assert any(sent.command.tau.any() for sent in link.sent) == (kind == "dynamics")
+    assert loop.report.feedforward.mode[:2] == ("dynamics", None)
+    assert any(sent.command.tau.any() for sent in link.sent)

@@ -59,7 +59,7 @@ class Driven:
         self.source, self.target = source, target
         self.time, self.took = 5.0, 0.0
         self.quat, self.gyroscope = target.root_quat_wxyz, np.zeros(3)
-        source.begin(target, "free", "free", None)
+        source.begin(target, "free", None)
 
     def command(self, phase=Phase.PLAY, passed=0.002):
         imu = ImuReading(self.quat, self.gyroscope, np.array([0.0, 0.0, 9.81]))
@@ -255,7 +255,7 @@ def test_no_robot_and_none_that_a_simulator_holds_is_commanded_by_a_policy(polic
     with pytest.raises(ConfigError, match="g1_23dof"):
         require_combination(settings(policy()), G1.load("g1_23dof"), simulated=True)
     with pytest.raises(ConfigError):
-        PolicyTargets(settings(policy()), ROBOT).begin(target, "free", "bolted", None)
+        PolicyTargets(settings(policy()), ROBOT).begin(target, "bolted", None)
 
 
 def bent(angle=0.3):
@@ -290,7 +290,7 @@ def test_the_share_of_the_weight_on_the_feet(share):
 
 def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(policy, target):
     source = PolicyTargets(settings(policy()), ROBOT)
-    source.begin(target, "free", None, None)
+    source.begin(target, None, None)
     hanging = hanging_torque(InverseDynamics(ROBOT))
     standing = hanging.copy()
     standing[[3, 9]] -= 20.0  # the knees carry it
@@ -302,7 +302,7 @@ def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(polic
             source.command(Moment(Phase.RAMP, 1.0, target, measured, 0.0))
         assert bool(source.status.awaited) == waits
     source = PolicyTargets(settings(policy()), ROBOT)
-    source.begin(target, "free", "free", None)
+    source.begin(target, "free", None)
     assert not source.status.awaited
 
 

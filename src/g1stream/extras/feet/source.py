@@ -14,11 +14,11 @@ from g1stream.config import Config
 from g1stream.control.reading import ImuReading
 from g1stream.control.sources import (
     HeldTorques,
+    Mode,
     Moment,
     Source,
     Status,
     Traits,
-    possible_revisions,
 )
 from g1stream.control.targets import LOWERED, Target
 from g1stream.errors import ConfigError
@@ -28,12 +28,11 @@ from g1stream.extras.physics.standing import stand_or_explain
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
-from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES
-from g1stream.types import Floats, Phase, StreamSupport
+from g1stream.types import Floats, Phase
 
 #: The feet stand from the first fraction of the weight, and stop standing below the second one.
 _LANDS, _LIFTS = 0.1, 0.05
@@ -67,13 +66,13 @@ class StandingTorques(Source):
     """
 
     def __init__(self, config: Config, robot: G1, *, simulated: bool = True) -> None:
+        super().__init__(config, robot, simulated=simulated)
         self._config, self._robot = config, robot
-        period, robots = config.stream.period / 1e9, possible_revisions(robot, simulated=simulated)
+        self._hanging = HeldTorques(config, robot, simulated=simulated)
+        self._period, robots = config.stream.period / 1e9, self._hanging.robots
         self.traits = Traits(way_down=Squat(robot))
-        self._balances = {one.name: Balance(one, period) for one in robots}
+        self._balances = {one.name: Balance(one, self._period) for one in robots}
         self.balance = self._balances[robots[0].name]
-        self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)
-        self._period = period
         self._lowered_by_bridge = False
         self._landed = False
         self._load = self._carried_for = 0.0
@@ -92,7 +91,6 @@ class StandingTorques(Source):
             awaited,
             # At most a band carries the rest.
             stands=not self._lowered_by_bridge and self._load > _SQUATS,
-            robot=self._hanging.status.robot,
             margins=balance.worst,
         )
 
@@ -106,18 +104,18 @@ class StandingTorques(Source):
         changed = replace(standing.motion, operations=(*motion.operations, how))
         return changed, f"{motion.name} is played {how}"
 
-    def begin(
-        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
-    ) -> None:
+    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), so it does not stand on its feet.",
                 "Start it with --support free, or stream without --support feet.",
             )
         self._lowered_by_bridge = announced == "free"
-        self._hanging.begin(first, "hanging", "hanging", robot)
-        self.balance = self._balances[self._hanging.status.robot or ""]
+        mode = super().begin(first, announced, robot)
+        name = self._hanging.hold("hanging", robot)
+        self.balance = self._balances[name]
         self.balance.begin(first)
+        return mode._replace(robot=name)
 
     def command(self, moment: Moment) -> Target:
         phase, ramped, target, measured, age, *_ = moment

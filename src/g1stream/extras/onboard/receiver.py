@@ -42,6 +42,7 @@ class OnboardController(Receiver):
     joints = select_joints("arms,waist")
     carries = True
     ending = "hands arms and waist back"
+    source = "g1stream.extras.onboard.source:CarriedTorques"
     # The controller is not released, because it carries the robot while a stream moves its arms.
     end_other = "Stop it, because only one program at a time can move the arms."
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from g1stream.control.gains import Gains
 from g1stream.control.reading import ticks_between
-from g1stream.control.sources import Source, Status, Traits
+from g1stream.control.sources import Mode, Source, Status, Traits
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
-    from g1stream.types import Floats, StreamSupport
+    from g1stream.types import Floats
 
 __all__ = ["TILTED", "BackToStanding", "PolicyTargets"]
 
@@ -96,7 +96,6 @@ class PolicyTargets(Source):
         self._still = _standing(pose, robot)
         self.traits = Traits(
             Gains(contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)),
-            support="free",
             way_down=BackToStanding(self._still, settings.stand),
             observes=True,
             about=_about(contract, self._network),
@@ -126,7 +125,7 @@ class PolicyTargets(Source):
                 f"robot until they carry {100.0 * _CARRIED[0]:.0f} %, and release it when it stands"
             )
         told = self._told.tobytes() if self._new else b""
-        return Status(self._fall, awaited=awaited, told=told, robot=self._robot.name)
+        return Status(self._fall, awaited=awaited, told=told)
 
     @property
     def _waits(self) -> bool:
@@ -148,15 +147,14 @@ class PolicyTargets(Source):
             text += "; the velocity of the pelvis is estimated by leg odometry"
         return changed, text
 
-    def begin(
-        self, first: Target, support: StreamSupport, announced: str | None, robot: str | None
-    ) -> None:
+    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
                 "Start it with --support free.",
             )
         self._lowered_by_bridge = announced == "free"
+        return Mode(None, "free", self._robot.name)
 
     def _weigh(self, measured: Reading) -> None:
         now = measured.received / 1e9

@@ -16,7 +16,7 @@ from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, LowState, Reference
 from g1stream.recorder.diagnostics import ClockReading, read_clocks
-from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.receiver import SampleReceiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.records import MeasuredTf
@@ -67,7 +67,7 @@ class Publisher:
 def recording(domain_id, path, channels="standard", **options):
     """A recorder in a thread of its own; it has stopped when this is left."""
     with (
-        Receiver(Config(dds={"domain": domain_id})) as receiver,
+        SampleReceiver(Config(dds={"domain": domain_id})) as receiver,
         Participant(domain_id, "lo") as participant,
         SessionWriter(path) as writer,
     ):

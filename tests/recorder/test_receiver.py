@@ -12,7 +12,7 @@ from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.errors import RecordingError
 from g1stream.recorder import receiver as module
-from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.receiver import SampleReceiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
@@ -21,7 +21,7 @@ from g1stream.view.pipeline import MessagePipeline
 
 @pytest.fixture
 def receiver(domain_id):
-    with Receiver(Config(dds={"domain": domain_id})) as receiver:
+    with SampleReceiver(Config(dds={"domain": domain_id})) as receiver:
         receiver.wait_until_ready()
         yield receiver
 

@@ -22,7 +22,7 @@ from g1stream.dds.messages import COMMANDS, POLICY, REFERENCE
 from g1stream.errors import RecordingError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
-from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.receiver import SampleReceiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
@@ -80,7 +80,7 @@ def record(
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
 
     with ExitStack() as stack:
-        receiver = stack.enter_context(Receiver(config))
+        receiver = stack.enter_context(SampleReceiver(config))
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         if not session:  # with a session, the stream publishes it
             stack.enter_context(publishing_for_ros2(config, should_stop))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import Config
 
-__all__ = ["Counts", "Receiver"]
+__all__ = ["Counts", "SampleReceiver"]
 
 #: Difference from the priority of the loop; below the loop's DDS threads, above the simulator.
 _BELOW_LOOP: Final = 5
@@ -70,7 +70,7 @@ class Counts(NamedTuple):
     discarded: dict[str, int]
 
 
-class Receiver:
+class SampleReceiver:
     """Context manager that receives all topics of a DDS domain in another process.
 
     Args:
@@ -98,7 +98,7 @@ class Receiver:
             os.close(self._file)
             raise
 
-    def __enter__(self) -> Receiver:
+    def __enter__(self) -> SampleReceiver:
         return self
 
     def __exit__(self, *_: object) -> None:

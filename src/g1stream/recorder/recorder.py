@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
     from g1stream.recorder.diagnostics import ClockReading
-    from g1stream.recorder.receiver import Receiver
+    from g1stream.recorder.receiver import SampleReceiver
     from g1stream.session.writer import SessionWriter
     from g1stream.view.pipeline import MessagePipeline
 
@@ -128,7 +128,7 @@ class Recorder:
 
     def __init__(
         self,
-        receiver: Receiver,
+        receiver: SampleReceiver,
         participant: Participant,
         writer: SessionWriter,
         pipeline: MessagePipeline,

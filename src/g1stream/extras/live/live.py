@@ -29,7 +29,7 @@ from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.optional import require_installed
 from g1stream.realtime import lower_priority
-from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.receiver import SampleReceiver
 from g1stream.recorder.recorder import BATCH, raw_messages
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS, MessageBatch
@@ -223,7 +223,7 @@ def _run_child(parent: Parent) -> None:
     header = pipeline.file_header(time.time_ns())
     with (
         handled_by(ConsoleHandler(logging.WARNING, "live")),
-        Receiver(config) as receiver,
+        SampleReceiver(config) as receiver,
     ):
         lower_priority()  # not that of the receiver, which is already running
         server = _Server(header, config.live_port, origins)

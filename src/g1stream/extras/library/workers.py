@@ -15,7 +15,7 @@ import resource
 import signal
 import time
 from collections import deque
-from concurrent.futures import Future, wait
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -279,6 +279,7 @@ class _Calls(Generic[T, R]):
         if batch not in queue or batch.remote is not remote:  # its worker has ended
             return []
         error = None if answer.cancelled() else answer.exception()
+        lost = answer.cancelled() or isinstance(error, CancelledError)  # with the scheduler
         if type(error).__name__ == "KilledWorker":
             self._look = self._ask(self._client.nthreads)  # the answer to come may be outdated
             return self._lose(address)
@@ -287,19 +288,22 @@ class _Calls(Generic[T, R]):
         queue.remove(batch)
         if queue:
             queue[0].begun = now
-        if error and len(batch.items) > 1:  # such as of an answer that cannot be pickled
+        if (
+            error and not lost and len(batch.items) > 1
+        ):  # an answer that cannot be pickled
             self._again.extend(batch.items)
             return []
         pairs = [(item, Future[R]()) for item in batch.items]
-        answers = [(None, error)] if error or answer.cancelled() else answer.result()
+        if lost:
+            for _, future in pairs:
+                future.cancel()
+            return pairs
+        answers = [(None, error)] if error else answer.result()
         for (_, future), (result, raised) in zip(pairs, answers, strict=False):
             if raised:
                 future.set_exception(raised)
-            elif not answer.cancelled():
+            else:
                 future.set_result(result)
-        if answer.cancelled():
-            for _, future in pairs:
-                future.cancel()
         return pairs
 
     def _lose(self, address: str) -> list[tuple[T, Future[R]]]:

@@ -61,7 +61,6 @@ __all__ = [
     "Config",
     "DdsConfig",
     "GainsConfig",
-    "ParametersFile",
     "RealtimeConfig",
     "RecordConfig",
     "SafetyConfig",
@@ -347,43 +346,6 @@ class GainsConfig(Table):
 
     kp: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KP)]] = Field(default_factory=dict)
     kd: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KD)]] = Field(default_factory=dict)
-
-
-class ParametersFile(Table):
-    """The parameters file of one G1, which the setting `params` names.
-
-    The tables of joints map a joint, a limb or a pattern to a value; later entries override earlier
-    ones. The tables of links map a link of the URDF to the value that is added to it. Missing
-    parameters are as in unitree_mujoco's model and in the URDF.
-    """
-
-    robot: str | None = setting(
-        None, "robot that masses and centres of mass are relative to", example="g1_29dof"
-    )
-    command_delay: float = setting(
-        0.0, "time from receiving a LowCmd until the motors apply it", "s", ge=0.0, le=0.1
-    )
-    damping: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
-        {}, "viscous friction", "N·m·s/rad"
-    )
-    friction: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
-        {}, "dry (Coulomb) friction", "N·m"
-    )
-    armature: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = setting(
-        {}, "inertia of the rotor, reflected to the joint", "kg·m²"
-    )
-    torque_scale: dict[str, Annotated[float, Field(ge=0.2, le=2.0)]] = setting(
-        {}, "ratio of the torque that a motor applies to the commanded torque"
-    )
-    mass: dict[str, Annotated[float, Field(ge=-20.0, le=20.0)]] = setting(
-        {}, "added to a link at its centre of mass", "kg"
-    )
-    com: dict[
-        str,
-        Annotated[
-            list[Annotated[float, Field(ge=-0.5, le=0.5)]], Field(min_length=3, max_length=3)
-        ],
-    ] = setting({}, "shift of a link's centre of mass, in the link's frame", "m")
 
 
 class RecordConfig(Table):

@@ -9,11 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
+from pydantic import Field
 
+from g1stream.config import Table, read_table, setting
 from g1stream.errors import ConfigError
+from g1stream.files import read_file
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, N_JOINTS, matching_joints
 
 if TYPE_CHECKING:
@@ -83,15 +86,49 @@ NOMINAL: Final = Parameters()
 _OF_MOTORS: Final = ("damping", "friction", "armature", "torque_scale")
 
 
+class ParametersFile(Table):
+    """The entries of a parameters file, which the setting `params` names.
+
+    The tables of joints map a joint, a limb or a pattern to a value; later entries override earlier
+    ones. The tables of links map a link of the URDF to the value that is added to it. Missing
+    parameters are as in unitree_mujoco's model and in the URDF.
+    """
+
+    robot: str | None = setting(
+        None, "robot that masses and centres of mass are relative to", example="g1_29dof"
+    )
+    command_delay: float = setting(
+        0.0, "time from receiving a LowCmd until the motors apply it", "s", ge=0.0, le=0.1
+    )
+    damping: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
+        {}, "viscous friction", "N·m·s/rad"
+    )
+    friction: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
+        {}, "dry (Coulomb) friction", "N·m"
+    )
+    armature: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = setting(
+        {}, "inertia of the rotor, reflected to the joint", "kg·m²"
+    )
+    torque_scale: dict[str, Annotated[float, Field(ge=0.2, le=2.0)]] = setting(
+        {}, "ratio of the torque that a motor applies to the commanded torque"
+    )
+    mass: dict[str, Annotated[float, Field(ge=-20.0, le=20.0)]] = setting(
+        {}, "added to a link at its centre of mass", "kg"
+    )
+    com: dict[
+        str,
+        Annotated[
+            list[Annotated[float, Field(ge=-0.5, le=0.5)]], Field(min_length=3, max_length=3)
+        ],
+    ] = setting({}, "shift of a link's centre of mass, in the link's frame", "m")
+
+
 def load_parameters(path: Path) -> Parameters:
     """Load the parameters in a TOML file; missing ones keep their defaults.
 
     Raises:
         ConfigError: the file cannot be read, a name matches no joint, or a value is out of range.
     """
-    from g1stream.config import ParametersFile, read_table
-    from g1stream.files import read_file
-
     remedy = "Correct the value; docs/gap.md lists every entry with its unit."
     values, _ = read_table(ParametersFile, path, "parameters file", remedy)
     motors: dict[str, Floats] = {}

@@ -288,9 +288,7 @@ class _Calls(Generic[T, R]):
         queue.remove(batch)
         if queue:
             queue[0].begun = now
-        if (
-            error and not lost and len(batch.items) > 1
-        ):  # an answer that cannot be pickled
+        if error and not lost and len(batch.items) > 1:  # an answer that cannot be pickled
             self._again.extend(batch.items)
             return []
         pairs = [(item, Future[R]()) for item in batch.items]

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.session.format import Channel, MessageBatch
-    from g1stream.session.mcap_reader import ChannelInfo
 
 __all__ = ["McapWriter", "OutputFile", "max_size"]
 
@@ -155,7 +154,7 @@ class McapWriter:
     def __init__(
         self,
         path: Path,
-        channels: Mapping[str, Channel | ChannelInfo],
+        channels: Mapping[str, Channel],
         *,
         profile: str | None = None,
     ) -> None:

@@ -18,7 +18,7 @@ MOST = {
     "source: policy, balance": 29,
     "support": 21,
     "clock of the robot": 8,
-    "simulator or robot": 25,
+    "simulator or robot": 24,
     "recordings of others": 18,
     "foreign formats": 8,
     "parameters of a robot": 12,

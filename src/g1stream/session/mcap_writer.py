@@ -12,7 +12,6 @@ import errno
 import fcntl
 import os
 import pickle
-from collections import Counter
 from contextlib import contextmanager, suppress
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, Final
@@ -142,24 +141,15 @@ class McapWriter:
     Args:
         path: path of the file; its directory must exist.
         channels: channels that may be written, by topic.
-        profile: profile of the file; if None, `ros2` if all channels are CDR, as in rosbag2.
 
     Attributes:
         path: path of the file for error messages.
         place: current path of the file.
-        counts: number of written messages by topic.
         first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        channels: Mapping[str, Channel],
-        *,
-        profile: str | None = None,
-    ) -> None:
+    def __init__(self, path: Path, channels: Mapping[str, Channel]) -> None:
         self.path = self.place = path
-        self.counts: Counter[str] = Counter()
         self.first_log_time: int | None = None
         self.last_log_time: int | None = None
         self._channels = channels
@@ -176,14 +166,10 @@ class McapWriter:
                 raise
         self._mcap = self._library_writer(summary=True)
         # Profile ros2 requires CDR in all channels; its readers reject files of several encodings.
-        only_ros2 = profile is None and all(
-            channel.message_encoding == "cdr" for channel in channels.values()
-        )
+        only_ros2 = all(channel.message_encoding == "cdr" for channel in channels.values())
         try:
             with self._committed(0):
-                self._mcap.start(
-                    "ros2" if only_ros2 else profile or "", library=f"g1stream {__version__}"
-                )
+                self._mcap.start("ros2" if only_ros2 else "", library=f"g1stream {__version__}")
                 if only_ros2:
                     # Otherwise rosbag2 assumes its version 9, in which QoS is written in words, for
                     # a file that it opens without metadata.yaml.
@@ -193,11 +179,6 @@ class McapWriter:
             self._indexes.close()
             path.unlink(missing_ok=True)
             raise
-
-    @property
-    def size(self) -> int:
-        """Bytes written."""
-        return self._file.tell()
 
     def write_chunk(self, batches: Sequence[MessageBatch], sequence: int, *, last: bool) -> None:
         """Write messages of one topic as a chunk: all of them or none.
@@ -223,7 +204,6 @@ class McapWriter:
                     number += 1
             self._mcap.flush()
         self._n_chunks += 1
-        self.counts[topic] += number - sequence
         for batch in batches:
             first, final = int(batch.log_times.min()), int(batch.log_times.max())
             if self.first_log_time is None or self.last_log_time is None:
@@ -240,13 +220,10 @@ class McapWriter:
         """Add a metadata record; see `SessionWriter.add_metadata`."""
         number = self._n_metadata + 1
         name = METADATA_NAME + (f".{number}" if number > 1 else "")
-        self.write_metadata(name, metadata_to_strings(values))
-        self._n_metadata = number
-
-    def write_metadata(self, name: str, strings: dict[str, str]) -> None:
-        """Add a metadata record with any name."""
+        strings = metadata_to_strings(values)
         with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
             self._mcap.add_metadata(name, strings)
+        self._n_metadata = number
 
     def close(self) -> None:
         """Write the summary and close the file."""

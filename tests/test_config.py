@@ -294,7 +294,7 @@ def test_robot_toml_is_more_careful_than_the_defaults():
 
 
 def test_the_constants_of_a_robot_are_as_careful_as_a_simulators():
-    """All are maxima but four, which are damped longer, higher or fixed where there is a robot."""
+    """A robot's value is smaller; voltage and soft start are larger, and the time scale is 1."""
     simulator, robot = PROFILES["simulator"], PROFILES["robot"]
     assert PROFILES["network-simulator"] == simulator
     for name in set(robot._fields) - {"min_voltage", "soft_start", "time_scale"}:

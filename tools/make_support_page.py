@@ -56,7 +56,7 @@ def _row(flags: str, about: dict[str, Any]) -> str:
         ", ".join(about["kinds"]),
         ", ".join(held) or "its own controller",
         ", ".join(_limits(about)) or "any",
-        "yes" if about["network"] else "no",
+        "yes" if about["network"] else "only `--profile network-simulator`",
         "tried" if about["lockstep"] else "-",
         "; ".join(about["dds"]),
     ]

@@ -284,7 +284,7 @@ class StreamConfig(Table):
         "s",
         flag=(*PLAY_FLAG, "demo"),
         advanced=True,
-        needs=("stream.policy", "config"),
+        needs=("stream.policy",),
         ge=0.5,
         le=3600.0,
     )
@@ -295,7 +295,7 @@ class StreamConfig(Table):
         "s",
         flag=PLAY_FLAG,
         advanced=True,
-        needs=("stream.policy", "config"),
+        needs=("stream.policy",),
         ge=0.0,
         le=60.0,
     )
@@ -507,7 +507,7 @@ class SafetyConfig(Table):
     )
     max_tracking_error: float = setting(
         1.0,
-        "maximum distance of a joint from its target, averaged over 2 s (on a robot, 0.5 s)",
+        "maximum distance of a joint from its target, averaged over a time that the profile fixes",
         "rad",
         gt=0.0,
         le=6.3,
@@ -841,7 +841,8 @@ def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:
     if error["type"] == "extra_forbidden":
         parent = Config.model_fields.get(key.split(".", maxsplit=1)[0])
         table = parent.annotation if parent and "." in key else Config
-        if key.rpartition(".")[2] in ProfileConstants._fields:
+        table_name, _, name = key.rpartition(".")
+        if table_name in ("safety", "stream") and name in ProfileConstants._fields:
             return ConfigError(f"{key}{where} is no setting: the profile fixes it.", "Remove it.")
         known = ", ".join(getattr(table, "model_fields", {}))
         return ConfigError(f"There is no setting {key}{where}.", f"Choose from {known}.")

@@ -51,8 +51,7 @@ class ProfileConstants(NamedTuple):
     time_scale: float | None
 
 
-#: Two programs and the physics share one machine: silences and stalls are common and harmless,
-#: because the servo of the simulated motors holds, and nothing breaks.
+#: A simulator shares its machine with other programs and stalls, and nothing breaks.
 _SIMULATOR: Final = ProfileConstants(
     max_crc_errors=10,  # unitree_mujoco sends none; a wrong one here is a test
     frozen_timeout=1.0,  # a simulator that gets no CPU repeats its LowState and catches up later

@@ -225,6 +225,14 @@ def test_a_flag_needs_or_excludes_others(arguments, refused):
     assert (caught.value.cause if refused else None) == refused
 
 
+@pytest.mark.parametrize("policy", ["policy = 'x.onnx'", ""])
+def test_a_settings_file_may_have_what_a_flag_needs(tmp_path, policy):
+    config = tmp_path / "policy.toml"
+    config.write_text(f"[stream]\nramp = 1.0\n{policy}\n")
+    with nullcontext() if policy else pytest.raises(ConfigError, match="--stand needs --policy"):
+        assert resolved("stream", "--config", str(config), "--stand", "1").stream.stand == 1.0
+
+
 def test_the_help_says_what_a_flag_needs(capsys):
     text = helped(Combined, "combined", "--help", capsys=capsys)
     assert "(needs --out or OUT *.mcap)" in text

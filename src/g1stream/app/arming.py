@@ -54,7 +54,7 @@ class ArmingReport:
     limbs: tuple[LimbDistance, ...]  # distances from the measured pose to the first frame
     ramp: float  # length of RAMP, s
     peak_speed: float  # the highest speed of a joint in RAMP, rad/s
-    limits: dict[str, Any]  # the safety settings, by name
+    limits: dict[str, Any]  # the settings of [safety] and the profile's constants, by name
     wider: tuple[WiderValue, ...]  # settings that are less careful than the profile `robot`
     # Whether a mode is active as the receiver needs it; a warning if that is not known.
     motion_service: Finding

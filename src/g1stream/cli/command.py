@@ -8,10 +8,11 @@ import signal
 import sys
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from g1stream.cli.flags import flag
+from g1stream.cli.flags import flag, flag_name, lacking
 from g1stream.errors import ConfigError
 from g1stream.events import QUIET, is_quiet
 from g1stream.optional import extension
@@ -104,9 +105,15 @@ class SettingsCommand(Command):
 
     def resolve(self) -> Config:
         """The settings from the config file, if any, overridden by the flags."""
-        from g1stream.config import load_config
+        from g1stream.config import load_config, settings
 
-        return load_config(self.config, self.overrides())
+        config, known = load_config(self.config, self.overrides()), settings()
+        for key in self.settings:
+            about: Any = known[key].json_schema_extra
+            for need in about["needs"] if about else ():
+                if "." in need and not attrgetter(need)(config):
+                    raise lacking(*(flag_name(name.rpartition(".")[2]) for name in (key, need)))
+        return config
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, keyed like `stream.rate`."""

@@ -116,6 +116,11 @@ def flag_name(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
+def lacking(shown: str, needs: str) -> ConfigError:
+    """The error for a flag without what it needs."""
+    return ConfigError(f"{shown} needs {needs}.", f"Give {needs}, or remove {shown}.")
+
+
 def parse_flags(
     kind: type[CommandT], name: str, purpose: str, arguments: Sequence[str]
 ) -> CommandT:
@@ -296,14 +301,14 @@ class _Parser(ArgumentParser):
             key, _, pattern = need.partition("=")
             value = given.get(key)
             last = value[-1] if isinstance(value, list) else value
-            # A file of settings may name what a flag needs.
+            # A file of settings may have what a flag needs, see `SettingsCommand.resolve`.
             named = key in given or ("." in key and "config" in given)
             return named and fnmatch(str(last).lower(), pattern or "*")
 
         for key in given:
             shown, needs = self._shown(key), self._needs(key)
             if needs and not any(map(is_given, self._options[key].needs)):
-                raise ConfigError(f"{shown} needs {needs}.", f"Give {needs}, or remove {shown}.")
+                raise lacking(shown, needs)
             for other in filter(given.__contains__, self._options[key].excludes):
                 both = f"{shown} cannot be combined with {self._shown(other)}."
                 raise ConfigError(both, "Remove one of them.")

@@ -313,5 +313,5 @@ class LowStateChecks:
             return ""
         return (
             f"LowState has not changed for {still:.3f} s while the targets moved by "
-            f"{moved:.3f} rad ({words}, {moved_limit:g} rad)"
+            f"{moved:.3f} rad ({words}, while they move by {moved_limit:g} rad)"
         )

@@ -51,7 +51,8 @@ class Receiver:
         joints: (29,) the joints that are commanded, if the robot has them.
         carries: the robot's own controller keeps the robot on its feet meanwhile.
         ending: what DAMP does, as a verb for log messages.
-        source: the source for a motion, as in `SOURCES` of `control.sources`; None: any.
+        source: the source for a motion, as in `SOURCES` of `control.sources`; None: that of a held
+            robot.
         end_other: what to do about another publisher of commands.
     """
 

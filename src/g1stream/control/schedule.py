@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from g1stream.control.stop import Stop
-from g1stream.control.targets import Target, Targets
+    from g1stream.control.targets import Target, Targets
 
 __all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 

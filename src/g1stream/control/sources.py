@@ -192,13 +192,15 @@ class Source:
         return Status()
 
 
-def load_source(config: Config, robot: G1, own: str | None = None, *, simulated: bool) -> Source:
+def load_source(
+    config: Config, robot: G1, for_motion: str | None = None, *, simulated: bool
+) -> Source:
     """Load the source that a config selects.
 
     Args:
         config: the settings in force.
         robot: the robot.
-        own: the source of the receiver for a motion, as in `SOURCES`; None: that of a held robot.
+        for_motion: the receiver's source for a motion, as in `SOURCES`; None: that of a held robot.
         simulated: only a simulator can be reached.
 
     Raises:
@@ -207,7 +209,7 @@ def load_source(config: Config, robot: G1, own: str | None = None, *, simulated:
         RobotError: there is no dynamics model of this robot.
     """
     settings = config.stream
-    place = SOURCES.get("policy" if settings.policy else settings.support or "", own)
+    place = SOURCES.get("policy" if settings.policy else settings.support or "", for_motion)
     torques = settings.feedforward in (None, "dynamics")
     kind: type[Source] = HeldTorques if torques else Source
     return (load_object(place) if place else kind)(config, robot, simulated=simulated)
@@ -227,9 +229,10 @@ class HeldTorques(Source):
         self.robots = [robot]
         if robot is G1.default():
             self.robots = [robot, G1.load(REVISIONS[1])][:: -1 if simulated else 1]
-        self._models = [InverseDynamics(one) for one in self.robots]
-        self._dynamics = self._models[0]
+        wanted = self._kind in (None, "dynamics")  # a URDF may have no inertia
+        self._models = [InverseDynamics(one) for one in self.robots if wanted]
         self._period = config.stream.period / 1e9
+        self._dynamics: InverseDynamics
         self._held: Support = "bolted"
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
@@ -261,7 +264,7 @@ class HeldTorques(Source):
 
     def hold(self, support: Support, robot: str | None) -> str:
         """Choose the model for a support and the robot that the bridge announces; its name."""
-        self._held = support
+        self._held, self._dynamics = support, self._models[0]
         for model in self._models[1:]:
             if robot == model.name:
                 self._dynamics = model

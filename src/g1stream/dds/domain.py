@@ -34,7 +34,7 @@ from cyclonedds.core import (
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.internal import DDS
 
-from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, REFERENCE
 from g1stream.dds.udp_sockets import socket_inodes
 from g1stream.errors import WireError
 from g1stream.network import is_loopback, require_interface
@@ -187,7 +187,7 @@ def identify_program(written: set[str], read: set[str]) -> str:
         return "g1stream stream"
     if {LOG.name, LOWSTATE.name} <= written:
         return "g1stream sim"
-    if LOG.name in written and written & {one.name for one in COMMANDS.values()}:
+    if LOG.name in written and written & COMMAND_NAMES:
         return GUARD_PROGRAM
     if {LOG.name, REFERENCE.name} <= read and not written:
         return "g1stream record"

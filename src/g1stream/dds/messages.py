@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "COMMANDS",
+    "COMMAND_NAMES",
     "LOG",
     "LOWCMD",
     "LOWSTATE",
@@ -451,6 +452,7 @@ POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
 COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": Topic("rt/arm_sdk", LowCmd)}
+COMMAND_NAMES: Final = frozenset(topic.name for topic in COMMANDS.values())
 """Topics of commands, by `stream.via`."""
 
 TOPICS: Final = (

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from g1stream.dds.messages import COMMANDS, LOWCMD, LOWSTATE, REFERENCE, Samples
+from g1stream.dds.messages import COMMAND_NAMES, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.udp_sockets import socket_inodes, udp_sockets
 from g1stream.session.records import ClockStep
@@ -124,7 +124,7 @@ class Losses:
 
     def add(self, name: str, batch: Batch) -> None:
         """Add samples of a topic, oldest first; the ticks of each writer are independent."""
-        if any(name == one.name for one in COMMANDS.values()):
+        if name in COMMAND_NAMES:
             self._commands.add_commands(name, batch.publish_times)
         if name == REFERENCE.name:
             self._commands.add_references(batch.publish_times)

@@ -15,7 +15,7 @@ import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns
-from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, POLICY, Log
+from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, POLICY, Log
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import severity
 from g1stream.recorder.diagnostics import (
@@ -51,9 +51,9 @@ _MAX_DELAY_NS: Final = 20_000_000
 #: Time between two readings of the kernel's count of discarded datagrams, s.
 _DROPS_PERIOD: Final = 1.0
 #: Topics that may have one active publisher.
-_SINGLE: Final = frozenset(one.name for one in (LOWSTATE, *COMMANDS.values()))
+_SINGLE: Final = COMMAND_NAMES | {LOWSTATE.name}
 #: Topics that most streams do not publish.
-_OCCASIONAL: Final = (_SINGLE | {POLICY.name}) - {LOWSTATE.name, LOWCMD.name}
+_OCCASIONAL: Final = (COMMAND_NAMES - {LOWCMD.name}) | {POLICY.name}
 #: Number of batches whose median delays are kept; the last minutes, because the offset may drift.
 _DELAYS: Final = 8192
 #: Maximum wait for awaited publishers, and interval of the checks, s.

@@ -73,8 +73,8 @@ class SimulatedRobot:
 
     It checks a LowCmd as strictly as the robot. The CRC must be right, `mode_machine` must be its
     own, ankles and waist must be commanded as pitch and roll, and values must be finite. Only
-    enabled motors move. Without a LowCmd for 0.5 s, its motors only
-    damp.
+    enabled motors move. Without a LowCmd for `_TIMEOUT`, its motors
+    only damp.
 
     Args:
         world: the physics.

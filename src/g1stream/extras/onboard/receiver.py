@@ -47,7 +47,7 @@ class OnboardController(Receiver):
     end_other = "Stop it, because only one program at a time can move the arms."
 
     def __init__(self, period: int, damp: float) -> None:
-        super().__init__(period, damp)
+        super().__init__(period, max(damp, _HAND_BACK_TIME))
         self._sent, self._tick = 0.0, 0  # weight of the last command, and the tick after it
         self._next = 0.0
 

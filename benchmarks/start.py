@@ -13,7 +13,8 @@ import time
 from statistics import median
 
 import sides
-from g1stream.dds.domain import OBSERVER, Participant
+from g1stream.dds.discovery import OBSERVER
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LOWCMD
 

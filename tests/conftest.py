@@ -26,7 +26,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from g1stream.dds.domain import OBSERVER, Participant
+from g1stream.dds.discovery import OBSERVER
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.layout import members
 from g1stream.dds.messages import LOWCMD, LowCmd

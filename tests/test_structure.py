@@ -15,7 +15,7 @@ SPEC.loader.exec_module(TOOL)
 MOST = {
     "joints that play, kinds of G1": 51,
     "receiver": 23,
-    "source: policy, balance": 29,
+    "source: policy, balance": 28,
     "support": 21,
     "clock of the robot": 8,
     "simulator or robot": 24,

@@ -7,7 +7,8 @@ import pytest
 from g1stream.control.guard import Heartbeat, Takeover
 from g1stream.control.link import DdsLink
 from g1stream.control.receiver import Receiver
-from g1stream.dds.domain import IDLE, AnnouncedBridge, Participant
+from g1stream.dds.discovery import IDLE, AnnouncedBridge
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, POLICY, LowCmd, LowState, PolicyStep, Reference
 

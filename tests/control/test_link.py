@@ -8,7 +8,8 @@ import pytest
 
 from g1stream.control.link import DdsLink
 from g1stream.control.receiver import Receiver
-from g1stream.dds.domain import AnnouncedBridge, Participant
+from g1stream.dds.discovery import AnnouncedBridge
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
 

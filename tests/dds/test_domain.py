@@ -12,7 +12,8 @@ import pytest
 from cyclonedds.core import Entity
 from cyclonedds.internal import DDS
 
-from g1stream.dds.domain import AnnouncedBridge, Participant, _renew, identify_program
+from g1stream.dds.discovery import AnnouncedBridge, identify_program
+from g1stream.dds.domain import Participant, _renew
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, TOPICS, LowCmd
 from g1stream.errors import WireError
@@ -243,7 +244,7 @@ def test_another_process_is_listed_with_its_id(domain_id, peer_on, until):
                 assert (endpoint.topic, endpoint.type_name) == (LOWCMD.name, LOWCMD_TYPE)
                 assert endpoint.pid == str(peer.pid)
                 assert endpoint.process in sys.executable
-                assert f"pid {peer.pid} on {endpoint.host}" in str(endpoint)
+                assert f"pid {peer.pid} on {endpoint.host}" in participant.owner(endpoint)
             assert writer.participant == reader.participant
             until(lambda: participant.writers(REFERENCE.name), "its writer of references")
             assert participant.readers(LOWSTATE.name) == []

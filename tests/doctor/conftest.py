@@ -1,28 +1,24 @@
 from dataclasses import replace
 
 import pytest
+from cyclonedds.core import Policy, Qos
 
-from g1stream.doctor.facts import (
-    Facts,
-    HostFacts,
-    Interface,
-    Peer,
-    Qos,
-    StateFacts,
-    WakeupLatency,
-    WireFacts,
-)
+from g1stream.dds.discovery import Endpoint
+from g1stream.doctor.facts import Facts, HostFacts, Interface, StateFacts, WakeupLatency, WireFacts
+from g1stream.network import InterfaceFlags
 from g1stream.realtime import Grant
 
-BRIDGE = {"owner": "python (pid 7 on here)", "participant": "bridge"}
+RELIABLE = Qos(Policy.Reliability.Reliable(0))
+PYTHON = {"host": "here", "pid": "7", "process": "python"}
+BRIDGE = {"participant": "bridge", "policies": RELIABLE, **PYTHON}
 
 
 @pytest.fixture
 def healthy():
     host = HostFacts(
         interfaces=(
-            Interface("lo", loopback=True, multicast=False),
-            Interface("eth0", address="192.168.123.5"),
+            Interface("lo", InterfaceFlags.UP | InterfaceFlags.LOOPBACK),
+            Interface("eth0", InterfaceFlags.UP | InterfaceFlags.MULTICAST, "192.168.123.5"),
         ),
         uri="",
         cyclonedds="11.0.1",
@@ -40,18 +36,19 @@ def healthy():
         mode_machine=5,
         has_rpy=True,
     )
-    writer = Qos(reliable=True)
     wire = WireFacts(
+        1,
+        "lo",
         writers=(
-            Peer("rt/lowstate", "LowState_", qos=writer, **BRIDGE),
-            Peer("rt/sportmodestate", "SportModeState_", qos=writer, **BRIDGE),
+            Endpoint("rt/lowstate", "LowState_", **BRIDGE),
+            Endpoint("rt/sportmodestate", "SportModeState_", **BRIDGE),
         ),
-        readers=(Peer("rt/lowcmd", "LowCmd_", **BRIDGE),),
+        readers=(Endpoint("rt/lowcmd", "LowCmd_", "bridge", **PYTHON),),
         state=state,
         states_matched=1,
     )
     latency = WakeupLatency(500.0, 250, missed=0, median_ns=5_000, worst_ns=90_000)
-    return Facts(1, "lo", (0, 5), host, wire, wakeup_latency=latency)
+    return Facts(wire, host, (0, 5), latency)
 
 
 @pytest.fixture

@@ -1,29 +1,36 @@
 from dataclasses import replace
 
 import pytest
+from cyclonedds.core import Policy
+from cyclonedds.core import Qos as CycloneQos
 
+from g1stream.dds.discovery import OBSERVER, Endpoint, Qos
 from g1stream.dds.local_participants import LocalParticipant
-from g1stream.doctor.facts import Interface, Level, Peer, Qos, StateFacts, WakeupLatency, WireFacts
+from g1stream.dds.messages import COMMANDS
+from g1stream.doctor.facts import Interface, Level, StateFacts, WakeupLatency, WireFacts
 from g1stream.doctor.findings import evaluate, explain_no_robot, identify_publisher, qos_mismatch
+from g1stream.network import InterfaceFlags
 from g1stream.realtime import Grant
 
-STATE = Peer("rt/lowstate", "LowState_", owner="bridge (pid 7 on here)", participant="bridge")
-SPORT = Peer("rt/sportmodestate", "SportModeState_", participant="bridge")
-ROBOT_STATE = Peer("rt/lf/lowstate", "LowState_", participant="bridge")
-ARM = Peer("rt/arm_sdk", "LowCmd_", participant="bridge")
-READER = Peer("rt/lowcmd", "LowCmd_", owner="bridge (pid 7 on here)")
-RECORDER = replace(READER, owner="recorder (pid 8 on here)", observer=True)
+UP, LOOPBACK = InterfaceFlags.UP, InterfaceFlags.LOOPBACK
+STATE = Endpoint("rt/lowstate", "LowState_", "bridge", "here", "7", "bridge")
+SPORT = replace(STATE, topic="rt/sportmodestate", type_name="SportModeState_")
+ROBOT_STATE = replace(STATE, topic="rt/lf/lowstate")
+ARM = replace(STATE, topic="rt/arm_sdk", type_name="LowCmd_")
+READER = replace(ARM, topic="rt/lowcmd")
+OBSERVING = CycloneQos(Policy.Userdata(OBSERVER))
+RECORDER = Endpoint("rt/lowcmd", "LowCmd_", "gui", "here", "8", "recorder", policies=OBSERVING)
 COMING = StateFacts(0.2, received=100)
 SILENT = StateFacts(0.2)
-COMMANDS = Peer("rt/lowcmd", "LowCmd_", owner="policy (pid 9)")
+POLICY = Endpoint("rt/lowcmd", "LowCmd_", "policy", "here", "9", "policy")
 NOT_GRANTED = Grant("SCHED_FIFO", granted=False, detail="no right", cost="delays", remedy="limits")
 LATE = WakeupLatency(500.0, 250, 3, median_ns=5_000, worst_ns=9_400_000)
 EMPTY = {"writers": (), "readers": (), "states_matched": 0}
 PROBLEM, WARNING = Level.PROBLEM, Level.WARNING
 
 
-def interface(**changes):
-    return {"host": {"interfaces": (Interface("lo", **changes),)}}
+def interface(*values):
+    return {"host": {"interfaces": (Interface("lo", *values),)}}
 
 
 def writers(*peers):
@@ -38,12 +45,16 @@ def readers(*peers):
     return {"wire": {"readers": peers}}
 
 
+def policies(peer, *policies):
+    return replace(peer, policies=CycloneQos(*policies))
+
+
 # Changed facts; level and subject of the finding that they lead to, and a value that it names.
 CASES = {
-    "no such interface": ({"interface": "wlan9"}, PROBLEM, "interface", "wlan9"),
-    "interface down": (interface(up=False), PROBLEM, "interface", "down"),
-    "no address": (interface(address=""), PROBLEM, "interface", "IPv4"),
-    "no multicast": (interface(multicast=False), PROBLEM, "interface", "multicast"),
+    "no such interface": ({"wire": {"interface": "wlan9"}}, PROBLEM, "interface", "wlan9"),
+    "interface down": (interface(LOOPBACK), PROBLEM, "interface", "down"),
+    "no address": (interface(UP | LOOPBACK, ""), PROBLEM, "interface", "IPv4"),
+    "no multicast": (interface(UP), PROBLEM, "interface", "multicast"),
     "uri": ({"host": {"uri": "file://mine.xml"}}, WARNING, "interface", "file://mine.xml"),
     "old cyclone": ({"host": {"cyclonedds": "0.9.1"}}, WARNING, "cyclonedds", "0.9.1"),
     "small buffers": ({"host": {"rmem_max": 212_992}}, WARNING, "sockets", "208 KiB"),
@@ -54,14 +65,19 @@ CASES = {
     "wrong domain": (elsewhere(0, "lo"), PROBLEM, "domain", "domain 0 on lo"),
     "wrong interface": (elsewhere(1, "eth0"), PROBLEM, "interface", "domain 1 on eth0"),
     "an empty domain": ({"wire": EMPTY}, PROBLEM, "publisher", "domain 1 on lo"),
-    "other qos": (writers(replace(STATE, qos=Qos(exclusive=True))), PROBLEM, "QoS", "ownership"),
+    "other qos": (
+        writers(policies(STATE, Policy.Ownership.Exclusive)),
+        PROBLEM,
+        "QoS",
+        "ownership",
+    ),
     "clocks differ": ({"state": {"ages_ms": (-5e3, -4e3)}}, WARNING, "LowState", "clock"),
     "lost": ({"state": {"missed": 3}}, WARNING, "tick", "3 LowStates"),
     "wrong CRC": ({"state": {"crc_right": 490}}, PROBLEM, "CRC", "10 of 500"),
     "other robot": ({"state": {"mode_machine": 4}}, PROBLEM, "mode_machine", "4"),
     "no subscriber": (readers(), PROBLEM, "LowCmd", "rt/lowcmd"),
     "only a recorder": (readers(RECORDER), PROBLEM, "LowCmd", "rt/lowcmd"),
-    "other publisher": (writers(STATE, SPORT, COMMANDS), WARNING, "LowCmd", COMMANDS.owner),
+    "other publisher": (writers(STATE, SPORT, POLICY), WARNING, "LowCmd", "policy (pid 9 on here)"),
 }
 
 
@@ -86,8 +102,8 @@ def test_latency_below_a_period(changed):
 
 @pytest.mark.parametrize(("interface", "about"), [("lo", "domain"), ("wlan9", "interface")])
 def test_a_domain_that_cannot_be_joined_is_one_problem(healthy, interface, about):
-    facts = replace(healthy, interface=interface, wire=None, join_error="Ten others are there.")
-    (found,) = [one for one in evaluate(facts) if one.level]
+    wire = WireFacts(1, interface, join_error="Ten others are there.")
+    (found,) = [one for one in evaluate(replace(healthy, wire=wire)) if one.level]
     assert found.about == about
 
 
@@ -116,34 +132,36 @@ def test_the_base_is_missing_only_where_there_is_a_publisher(changed, wire, told
     assert ("base" in {finding.about for finding in evaluate(changed(wire=wire))}) is told
 
 
-def met(writer=STATE, reader=READER, state=COMING, matched=1, **more):
+def met(writer=STATE, reader=READER, state=COMING, matched=1, domain=1, interface="lo", **more):
     """A domain with a writer of LowState and a reader of LowCmd."""
-    return WireFacts((writer,), (reader,), state, matched, **more)
+    return WireFacts(domain, interface, (writer,), (reader,), state, matched, **more)
 
+
+OWNER = "bridge (pid 7 on here)"
 
 # What is in the domain; what the finding is about, and values that it must name.
 MISMATCHES = {
     "other type": (
-        met(replace(STATE, same_type=False, type_name="Mine_"), state=SILENT, matched=0),
+        met(replace(STATE, type_id="other", type_name="Mine_"), state=SILENT, matched=0),
         "types",
-        (STATE.owner, "rt/lowstate", "Mine_"),
+        (OWNER, "rt/lowstate", "Mine_"),
     ),
     "other QoS": (
-        met(replace(STATE, qos=Qos(partitions=("lab",))), state=SILENT, matched=0),
+        met(policies(STATE, Policy.Partition(["lab"])), state=SILENT, matched=0),
         "QoS",
-        (STATE.owner, "rt/lowstate", "lab"),
+        (OWNER, "rt/lowstate", "lab"),
     ),
-    "unmatched": (met(state=SILENT, matched=0), "types", (STATE.owner, "rt/lowstate")),
+    "unmatched": (met(state=SILENT, matched=0), "types", (OWNER, "rt/lowstate")),
     "silent": (met(state=replace(SILENT, malformed=3)), "LowState", ("0.2 s", "3 samples")),
     "reader of another type": (
-        met(reader=replace(READER, same_type=False)),
+        met(reader=replace(READER, type_id="other")),
         "types",
-        (READER.owner, "rt/lowcmd"),
+        (OWNER, "rt/lowcmd"),
     ),
     "demanding reader": (
-        met(reader=replace(READER, qos=Qos(durability=1))),
+        met(reader=policies(READER, Policy.Durability.TransientLocal)),
         "QoS",
-        (READER.owner, "rt/lowcmd", "durability"),
+        (OWNER, "rt/lowcmd", "durability"),
     ),
 }
 
@@ -151,7 +169,7 @@ MISMATCHES = {
 @pytest.mark.parametrize("name", MISMATCHES)
 def test_the_doctor_has_the_same_finding(name, healthy):
     wire, about, values = MISMATCHES[name]
-    (finding,) = explain_no_robot(1, "lo", wire)
+    (finding,) = explain_no_robot(wire)
     assert (finding.level, finding.about) == (Level.PROBLEM, about)
     assert all(value in finding.cause for value in values)
     assert finding in evaluate(replace(healthy, wire=wire))
@@ -159,40 +177,40 @@ def test_the_doctor_has_the_same_finding(name, healthy):
 
 def test_a_reader_whose_type_is_not_announced():
     """Who has a writer knows whether it matches; the doctor must not have one."""
-    wire = WireFacts((STATE,), (READER, RECORDER), COMING, 1, commands_matched=0)
-    (finding,) = explain_no_robot(1, "lo", wire)
+    wire = replace(met(commands_matched=0), readers=(READER, RECORDER))
+    (finding,) = explain_no_robot(wire)
     assert finding.about == "types"
-    assert READER.owner in finding.cause
-    assert RECORDER.owner not in finding.cause
+    assert OWNER in finding.cause
+    assert "recorder (pid 8 on here)" not in finding.cause
 
 
 def test_an_empty_domain_is_what_the_doctor_says_of_it(healthy):
-    wire = WireFacts(readers=(READER,), elsewhere=((3, "eth0", "sim"),))
-    (finding,) = explain_no_robot(7, "eth0", wire)
+    wire = WireFacts(7, "eth0", readers=(READER,), elsewhere=((3, "eth0", "sim"),))
+    (finding,) = explain_no_robot(wire)
     assert finding.remedy == "Use --domain 3."
-    assert finding in evaluate(replace(healthy, domain=7, interface="eth0", wire=wire))
+    assert finding in evaluate(replace(healthy, wire=wire))
 
 
 def test_a_robot_without_a_subscriber_leads_to_the_doctor():
-    (finding,) = explain_no_robot(7, "eth0", met(reader=RECORDER))
+    (finding,) = explain_no_robot(met(reader=RECORDER, domain=7, interface="eth0"))
     assert finding.about == "LowCmd"
     assert "domain 7 on eth0" in finding.cause
     assert "g1stream doctor --domain 7 --interface eth0" in finding.remedy
 
 
 def test_a_robot_that_appears_too_late():
-    (finding,) = explain_no_robot(1, "lo", met(commands_matched=1))
+    (finding,) = explain_no_robot(met(commands_matched=1))
     assert (finding.level, finding.about) == (Level.WARNING, "wire")
 
 
 def test_the_controller_that_moves_the_arms_for_us_is_not_to_be_ended(changed):
     """It publishes on rt/lowcmd, keeps the robot on its feet, and reads rt/arm_sdk."""
-    wire = {"writers": (STATE, SPORT, COMMANDS), "readers": (READER, ARM)}
+    wire = {"writers": (STATE, SPORT, POLICY), "readers": (READER, ARM)}
     assert {one.level for one in evaluate(changed(wire=wire, via="arm_sdk"))} == {Level.OK}
-    for wrong in ({"writers": (STATE, SPORT, replace(ARM, owner="policy"))}, {"readers": ()}):
+    for wrong in ({"writers": (STATE, SPORT, replace(ARM, participant="policy"))}, {"readers": ()}):
         (found,) = [one for one in evaluate(changed(wire=wire | wrong, via="arm_sdk")) if one.level]
         assert "rt/arm_sdk" in found.cause
-    (waited,) = explain_no_robot(7, "eth0", met(), "rt/arm_sdk")
+    (waited,) = explain_no_robot(met(), COMMANDS["arm_sdk"])
     assert "rt/arm_sdk" in waited.cause
 
 
@@ -218,7 +236,7 @@ def test_qos(offered, requested, policy):
 def test_publishers_are_identified(changed):
     other_reader = (replace(ARM, participant="other"), ROBOT_STATE)
     elsewhere = (STATE, SPORT, replace(ROBOT_STATE, participant="other"))
-    log = Peer("rt/g1stream/log", "", participant="bridge")
+    log = replace(STATE, topic="rt/g1stream/log")
     expected = [
         ("own bridge", changed(wire={"writers": (STATE, log)})),
         ("robot", changed(wire={"writers": (STATE, SPORT, ROBOT_STATE)})),
@@ -231,4 +249,4 @@ def test_publishers_are_identified(changed):
     ]
     for name, facts in expected:
         assert name in identify_publisher(facts.wire)
-    assert identify_publisher(WireFacts()) == ""
+    assert identify_publisher(WireFacts(1, "lo")) == ""

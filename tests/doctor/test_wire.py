@@ -15,14 +15,16 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from g1stream.dds import types
-from g1stream.dds.domain import AnnouncedBridge, Participant
+from g1stream.dds.discovery import AnnouncedBridge, Qos
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowState
-from g1stream.doctor.facts import Interface, Qos
-from g1stream.doctor.inspection import inspect_domain, qos_facts
+from g1stream.doctor.facts import Interface
+from g1stream.doctor.inspection import inspect_domain
+from g1stream.network import InterfaceFlags
 
 SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
-LO = Interface("lo", loopback=True)
+LO = Interface("lo", InterfaceFlags.UP | InterfaceFlags.LOOPBACK)
 
 
 def test_an_empty_domain(domain_id):
@@ -160,4 +162,4 @@ def test_a_publisher_in_any_domain_is_found(claim_domain, monkeypatch, stranger)
     ],
 )
 def test_policies(policies, expected):
-    assert qos_facts(CycloneQos(*policies)) == expected
+    assert Qos.of(CycloneQos(*policies)) == expected

@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 
 from g1stream.app.session import open_session
 from g1stream.config import Config, RecordConfig
-from g1stream.dds.domain import AnnouncedBridge, Participant
+from g1stream.dds.discovery import AnnouncedBridge
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, LowState, Reference
 from g1stream.recorder.diagnostics import ClockReading, read_clocks

@@ -6,7 +6,8 @@ import pytest
 
 from g1stream.clock import SystemClock
 from g1stream.config import Config, SimConfig
-from g1stream.dds.domain import AnnouncedBridge, Participant
+from g1stream.dds.discovery import AnnouncedBridge
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import (
     LOG,

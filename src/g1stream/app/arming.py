@@ -118,11 +118,10 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     first = plan.trajectory.sample(plan.interval.start).joint_pos
     distance = np.where(plan.played, first - state.q.astype(np.float64), 0.0)
     ramp = Ramp.for_distance(distance, round(1e9 * config.stream.ramp), config.constants.ramp_speed)
-    where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
     allowed = kind.allowed(config.safety.mode_machine)
-    findings = evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))
+    findings = evaluate(Facts(wire, host, allowed, via=config.stream.via))
     if kind.absent:
         cause = (
             f"On a {kind}, each joint is assumed to have the same motor number as with "

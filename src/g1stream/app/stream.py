@@ -302,10 +302,8 @@ def _diagnose(
     # The loop has listened for longer. Subscribers are counted only now, so that one that
     # appeared in the meantime counts as matched.
     state = replace(wire.state, received=wire.state.received or report.states)
-    where = planned.config.dds
     wire = replace(wire, state=state, commands_matched=link.subscribers())
-    wire = search_elsewhere(wire, where.domain, where.interface)
-    findings = explain_no_robot(where.domain, where.interface, wire, planned.receiver.topic.name)
+    findings = explain_no_robot(search_elsewhere(wire), planned.receiver.topic)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)
     return findings

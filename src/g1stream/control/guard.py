@@ -31,7 +31,8 @@ from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
 from g1stream.control.receiver import Receiver, load_receiver
 from g1stream.control.stop import Stop
-from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant
+from g1stream.dds.discovery import IDLE, PUBLISHING
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
 from g1stream.dds.log_handler import dds_log_handler
@@ -243,7 +244,7 @@ def count_subscribers(participant: Participant, commands: RawWriter) -> int:
     if not matched:
         return 0
     readers = participant.readers(commands.topic.name)
-    return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
+    return max(0, matched - sum(reader.observer for reader in readers))
 
 
 class GuardedLoop(Protocol):

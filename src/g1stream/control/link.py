@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.control.guard import Takeover, count_subscribers
 from g1stream.control.stop import Stop
-from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
+from g1stream.dds.discovery import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LOWSTATE, POLICY, REFERENCE, Topic

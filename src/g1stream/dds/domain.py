@@ -12,10 +12,9 @@ import os
 import socket
 import threading
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from math import inf
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Protocol
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -26,7 +25,6 @@ from cyclonedds.builtin import (
 from cyclonedds.core import (
     DDSException,
     InstanceState,
-    Policy,
     ReadCondition,
     SampleState,
     ViewState,
@@ -34,29 +32,13 @@ from cyclonedds.core import (
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.internal import DDS
 
-from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.discovery import Endpoint
+from g1stream.dds.messages import LOWCMD
 from g1stream.dds.udp_sockets import socket_inodes
 from g1stream.errors import WireError
 from g1stream.network import is_loopback, require_interface
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-__all__ = [
-    "DISCOVERY",
-    "GUARD_PROGRAM",
-    "IDLE",
-    "OBSERVER",
-    "PUBLISHING",
-    "SETTLE",
-    "AnnouncedBridge",
-    "Endpoint",
-    "Participant",
-    "identify_program",
-]
-
-GUARD_PROGRAM: Final = "g1stream guard"
-"""First words of `Participant.owner` for a guard."""
+__all__ = ["DISCOVERY", "SETTLE", "Participant"]
 
 #: Highest domain id; the ports of a higher one would be above 65535 (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
@@ -86,112 +68,6 @@ DISCOVERY: Final = 0.3
 
 SETTLE: Final = 0.1
 """Additional time in which a participant that joined at the same time is discovered, s."""
-
-
-# g1stream's programs announce themselves in the user data of their writers and readers. User data
-# is part of discovery (DDS 1.4, 2.2.3.1), needs no topic or message, does not affect matching, and
-# is ignored by other programs. A robot and unitree_mujoco announce nothing.
-OBSERVER: Final = b"g1stream.observer"
-"""User data of a reader of LowCmd that does not act on it."""
-
-IDLE: Final = b"g1stream.idle"
-"""User data of a writer of commands that has not published yet, such as a guard's."""
-
-PUBLISHING: Final = b"g1stream.publishing"
-"""User data of a writer of commands that has published."""
-
-_BRIDGE: Final = "g1stream.bridge="
-
-
-class AnnouncedBridge(NamedTuple):
-    """Announcement of g1stream's own bridge in the user data of its LowState writer.
-
-    Attributes:
-        support: how the bridge holds the robot.
-        robot: name of the simulated robot.
-        rate: LowStates per second, Hz. Ticks count ms and number the LowStates only of this bridge.
-    """
-
-    support: str
-    robot: str = ""
-    rate: float = 500.0
-
-    @classmethod
-    def by(cls, writers: Iterable[Endpoint]) -> AnnouncedBridge | None:
-        """Read the announcement of LowState writers; None if there is none or several differ."""
-        found = {one.user_data for one in writers if one.user_data.startswith(_BRIDGE.encode())}
-        if len(found) != 1:
-            return None
-        text = found.pop().decode(errors="replace").removeprefix(_BRIDGE)
-        support, rate, robot = (*text.split(";", 2), "", "")[:3]
-        try:
-            announced = cls(support, robot, float(rate))
-        except ValueError:
-            return None
-        return announced if 1.0 <= announced.rate < inf else None
-
-    @property
-    def user_data(self) -> bytes:
-        """The announcement as user data."""
-        return f"{_BRIDGE}{self.support};{self.rate};{self.robot}".encode()
-
-    @property
-    def tick_step(self) -> float:
-        """Time from one LowState to the next, ms."""
-        return 1000.0 / self.rate
-
-
-@dataclass(frozen=True)
-class Endpoint:
-    """A writer or reader of another participant.
-
-    Attributes:
-        topic, type_name: as announced in discovery.
-        participant: GUID of its participant.
-        host, pid, process: host, process id and process name of its participant; empty if not
-            announced.
-        handle: the `publication_handle` of its samples, for a writer.
-        qos: Cyclone's Qos, as announced.
-        type_id: XTypes identifier of the announced type; None if not announced.
-    """
-
-    topic: str
-    type_name: str
-    participant: str
-    host: str = ""
-    pid: str = ""
-    process: str = ""
-    handle: int = 0
-    qos: Any = field(default=None, compare=False, repr=False)
-    type_id: Any = field(default=None, compare=False, repr=False)
-
-    @property
-    def user_data(self) -> bytes:
-        """The announced user data; empty if there is none."""
-        return next((p.data for p in self.qos or () if isinstance(p, Policy.Userdata)), b"")
-
-    @property
-    def idle(self) -> bool:
-        """Whether it is announced as a writer of commands that has not published."""
-        return self.user_data == IDLE
-
-    def __str__(self) -> str:
-        if not self.pid:
-            return f"participant {self.participant}"
-        return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unknown host'})"
-
-
-def identify_program(written: set[str], read: set[str]) -> str:
-    """Name of the g1stream program that writes and reads these topics, or ""."""
-    if REFERENCE.name in written:
-        return "g1stream stream"
-    if {LOG.name, LOWSTATE.name} <= written:
-        return "g1stream sim"
-    if LOG.name in written and written & COMMAND_NAMES:
-        return GUARD_PROGRAM
-    if {LOG.name, REFERENCE.name} <= read and not written:
-        return "g1stream record"
-    return ""
 
 
 class Closable(Protocol):
@@ -329,11 +205,7 @@ class Participant:
 
     def owner(self, endpoint: Endpoint) -> str:
         """The process or participant of an endpoint, with the name of a g1stream program."""
-        program = identify_program(
-            {one.topic for one in self.writers() if one.participant == endpoint.participant},
-            {one.topic for one in self.readers() if one.participant == endpoint.participant},
-        )
-        return str(replace(endpoint, process=program) if program else endpoint)
+        return endpoint.owner(self.writers(), self.readers())
 
     def _endpoints(self, discovered: _Discovered, topic: str | None) -> list[Endpoint]:
         properties = {

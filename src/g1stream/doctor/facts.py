@@ -11,12 +11,17 @@ from typing import TYPE_CHECKING
 
 from pydantic import ConfigDict, Field, field_serializer
 
+from g1stream.dds.discovery import Endpoint
+from g1stream.network import InterfaceFlags
 from g1stream.realtime import Grant
 from g1stream.session import records
 from g1stream.types import Via
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from g1stream.dds.local_participants import LocalParticipant
+    from g1stream.dds.messages import Topic
 
 
 class Level(IntEnum):
@@ -57,12 +62,10 @@ def problem(about: str, cause: str, remedy: str) -> Finding:
 
 @dataclass(frozen=True)
 class Interface:
-    """A network interface with its kernel flags."""
+    """A network interface."""
 
     name: str
-    up: bool = True
-    loopback: bool = False
-    multicast: bool = True
+    flags: InterfaceFlags
     address: str = "127.0.0.1"  # IPv4; empty without an address
 
 
@@ -90,32 +93,6 @@ class WakeupLatency:
 
 
 @dataclass(frozen=True)
-class Qos:
-    """The QoS policies that decide whether a writer and a reader match."""
-
-    reliable: bool = False  # offered, or requested
-    durability: int = 0  # 0 volatile, 1 transient local, 2 transient, 3 persistent
-    deadline: int = 2**63 - 1  # maximum time between two samples, ns
-    exclusive: bool = False  # exclusive ownership
-    partitions: tuple[str, ...] = ()  # empty: the default partition
-    xcdr1: bool = True  # whether plain CDR is written, or can be read
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A writer or reader of another participant."""
-
-    topic: str
-    type_name: str
-    same_type: bool | None = True  # whether its type is g1stream's; None if not announced
-    qos: Qos = field(default_factory=Qos)
-    owner: str = "an unnamed participant"  # its process or participant
-    participant: str = ""  # GUID
-    observer: bool = False  # whether it announces not to act on samples
-    idle: bool = False  # whether it announces to have published no command, like a guard
-
-
-@dataclass(frozen=True)
 class StateFacts:
     """The LowStates that the doctor received."""
 
@@ -138,7 +115,8 @@ class WireFacts:
     """The endpoints and samples in a DDS domain.
 
     Attributes:
-        writers, readers: endpoints of other participants, on any topic.
+        domain, interface: the domain, and the network interface on which it is used.
+        writers, readers: endpoints of other participants, on topics of the robot.
         state: LowStates received on rt/lowstate.
         states_matched: number of writers of rt/lowstate that match the reader of this process.
         commands_matched: number of command subscribers, without observers, that match the writer of
@@ -148,10 +126,13 @@ class WireFacts:
         searched: the searched places, as (domain, interface).
         unsearched: the other interfaces of this machine.
         local: DDS programs on this machine in any domain; also only after a search.
+        join_error: why the domain could not be joined, which leaves the rest unknown; or empty.
     """
 
-    writers: tuple[Peer, ...] = ()
-    readers: tuple[Peer, ...] = ()
+    domain: int
+    interface: str
+    writers: tuple[Endpoint, ...] = ()
+    readers: tuple[Endpoint, ...] = ()
     state: StateFacts = field(default_factory=lambda: StateFacts(0.0))
     states_matched: int = 0
     commands_matched: int | None = None
@@ -159,22 +140,33 @@ class WireFacts:
     searched: tuple[tuple[int, str], ...] = ()
     unsearched: tuple[str, ...] = ()
     local: tuple[LocalParticipant, ...] = ()
+    join_error: str = ""
 
-    def writers_of(self, topic: str) -> list[Peer]:
-        """Writers of a topic."""
-        return [peer for peer in self.writers if peer.topic == topic]
+    @property
+    def here(self) -> str:
+        """The domain and the interface in a sentence."""
+        return f"in domain {self.domain} on {self.interface}"
+
+    def writers_of(self, topic: Topic) -> list[Endpoint]:
+        """Writers of a topic, without those that have published no command."""
+        return [one for one in self.writers if one.topic == topic.name and not one.idle]
+
+    def readers_of(self, topic: Topic) -> list[Endpoint]:
+        """Readers of a topic, without observers."""
+        return [one for one in self.readers if one.topic == topic.name and not one.observer]
+
+    def owners(self, endpoints: Iterable[Endpoint]) -> str:
+        """The owners of endpoints, each once."""
+        return ", ".join(sorted({one.owner(self.writers, self.readers) for one in endpoints}))
 
 
 @dataclass(frozen=True)
 class Facts:
     """All facts that the doctor gathered."""
 
-    domain: int
-    interface: str
-    allowed_robots: tuple[int, ...]  # values of mode_machine that may be commanded
+    wire: WireFacts
     host: HostFacts
-    wire: WireFacts | None  # None if the domain could not be joined
-    join_error: str = ""  # why it could not be joined
+    allowed_robots: tuple[int, ...]  # values of mode_machine that may be commanded
     wakeup_latency: WakeupLatency | None = None  # None if not measured
     via: Via = "lowcmd"  # receiver of the commands
     ros_domain: int | None = None  # ROS_DOMAIN_ID, if no domain was given

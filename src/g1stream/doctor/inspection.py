@@ -7,31 +7,28 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
-
-from cyclonedds.core import Policy
+from typing import Final
 
 from g1stream.clock import Clock, SystemClock, Ticker
 from g1stream.config import Config, RealtimeConfig
 from g1stream.control.report import Lateness
-from g1stream.dds.domain import OBSERVER, AnnouncedBridge, Endpoint, Participant
+from g1stream.dds.discovery import AnnouncedBridge
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.local_participants import local_participants
-from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.doctor.facts import (
     Facts,
     Finding,
     HostFacts,
     Interface,
-    Peer,
-    Qos,
     StateFacts,
     WakeupLatency,
     WireFacts,
@@ -46,12 +43,6 @@ _POLL_S = 0.001
 #: Time for the discovery of participants in other domains, s.
 _DISCOVERY_S = 0.6
 _ROBOT_DOMAIN: Final = 0
-_DURABILITIES = (
-    Policy.Durability.Volatile,
-    Policy.Durability.TransientLocal,
-    Policy.Durability.Transient,
-    Policy.Durability.Persistent,
-)
 
 
 def inspect_domain(
@@ -61,9 +52,7 @@ def inspect_domain(
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
     # With CYCLONEDDS_URI, the interface cannot be chosen.
-    return search_elsewhere(
-        facts, domain, interface, [] if participant.uses_environment else interfaces
-    )
+    return search_elsewhere(facts, [] if participant.uses_environment else interfaces)
 
 
 def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
@@ -74,8 +63,10 @@ def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
     if bridge := AnnouncedBridge.by(one for one in writers if one.topic == LOWSTATE.name):
         state = replace(state, missed=gaps.missed(bridge.tick_step))
     return WireFacts(
-        writers=tuple(_peers(participant, writers)),
-        readers=tuple(_peers(participant, participant.readers())),
+        participant.domain,
+        participant.interface,
+        writers=tuple(one for one in writers if one.topic.startswith("rt/")),
+        readers=tuple(one for one in participant.readers() if one.topic.startswith("rt/")),
         state=state,
         states_matched=reader.matched,
     )
@@ -109,23 +100,23 @@ def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
     )
 
 
-def search_elsewhere(
-    facts: WireFacts, domain: int, interface: str, interfaces: Iterable[Interface] = ()
-) -> WireFacts:
-    """Search for LowState elsewhere if it is not published in a domain; returns all facts.
+def search_elsewhere(facts: WireFacts, interfaces: Iterable[Interface] = ()) -> WireFacts:
+    """Search for LowState elsewhere if it is not published in the domain; returns all facts.
 
     It searches the domains of programs on this machine, the domain of a robot unless on loopback,
     and this domain on loopback: joining a domain sends discovery messages, which only the interface
     that was asked for may carry. A domain that cannot be joined is left out.
     """
-    if facts.writers_of(LOWSTATE.name):
+    if facts.writers_of(LOWSTATE):
         return facts
-    local = local_participants()
+    domain, interface, local = facts.domain, facts.interface, local_participants()
     domains = {one.domain for one in local if not one.apart}
     domains |= set() if is_loopback(interface) else {_ROBOT_DOMAIN}
-    others = [i for i in interfaces if i.up and i.address and i.name != interface]
+    usable = (one for one in interfaces if InterfaceFlags.UP in one.flags and one.address)
+    others = {one.name: InterfaceFlags.LOOPBACK in one.flags for one in usable}
+    others.pop(interface, None)
     places = [(one, interface) for one in sorted(domains - {domain})]
-    places += [(domain, one.name) for one in others if one.loopback]
+    places += [(domain, name) for name, loopback in others.items() if loopback]
     joined: dict[tuple[int, str], Participant] = {}
     with ExitStack() as stack:
         for place in places:
@@ -141,58 +132,9 @@ def search_elsewhere(
         facts,
         elsewhere=elsewhere,
         searched=tuple(joined),
-        unsearched=tuple(one.name for one in others if not one.loopback),
+        unsearched=tuple(name for name, loopback in others.items() if not loopback),
         local=tuple(local),
     )
-
-
-def ros_domain() -> int | None:
-    """The DDS domain of ROS 2 in this environment; None if not set."""
-    text = os.environ.get("ROS_DOMAIN_ID", "")
-    return int(text) if text.isdecimal() else None
-
-
-def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
-    """Endpoints on topics of the robot, without those of discovery."""
-    for endpoint in endpoints:
-        if endpoint.topic.startswith("rt/"):
-            yield Peer(
-                topic=endpoint.topic,
-                type_name=endpoint.type_name,
-                same_type=_same_type(endpoint),
-                qos=qos_facts(endpoint.qos),
-                owner=participant.owner(endpoint),
-                participant=endpoint.participant,
-                observer=endpoint.user_data == OBSERVER,
-                idle=endpoint.idle,
-            )
-
-
-def _same_type(endpoint: Endpoint) -> bool | None:
-    ours = {topic.name: topic.idl_type for topic in TOPICS}.get(endpoint.topic)
-    if ours is None or endpoint.type_id is None:
-        return None
-    ours.__idl__.populate()
-    return bool(endpoint.type_id == ours.__idl__.get_type_id())
-
-
-def qos_facts(qos: Any) -> Qos:
-    """The relevant policies of a Cyclone `Qos`; DDS's defaults for policies that are not set."""
-    values = vars(Qos()).copy()
-    for policy in qos or ():
-        if isinstance(policy, Policy.Reliability.Reliable):
-            values["reliable"] = True
-        elif isinstance(policy, Policy.Deadline):
-            values["deadline"] = policy.deadline
-        elif isinstance(policy, Policy.Partition):
-            values["partitions"] = tuple(policy.partitions)
-        elif isinstance(policy, Policy.DataRepresentation):
-            values["xcdr1"] = policy.use_cdrv0_representation
-        elif policy == Policy.Ownership.Exclusive:
-            values["exclusive"] = True
-        elif policy in _DURABILITIES:
-            values["durability"] = _DURABILITIES.index(policy)
-    return Qos(**values)
 
 
 _SIOCGIFADDR: Final = 0x8915  # <linux/sockios.h>
@@ -204,7 +146,7 @@ def inspect_host(config: RealtimeConfig) -> HostFacts:
         granted = tuple(grants)
     buffer = _read("/proc/sys/net/core/rmem_max")
     return HostFacts(
-        interfaces=tuple(map(_interface, interfaces())),
+        interfaces=tuple(Interface(n, interface_flags(n), _address(n)) for n in interfaces()),
         uri=os.environ.get("CYCLONEDDS_URI", ""),
         cyclonedds=version("cyclonedds"),
         rmem_max=int(buffer) if buffer else None,
@@ -239,17 +181,6 @@ def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
     return WakeupLatency(1e9 / period, passed, ticker.skipped, median, lateness.maximum_ns)
 
 
-def _interface(name: str) -> Interface:
-    flags = interface_flags(name)
-    return Interface(
-        name,
-        up=InterfaceFlags.UP in flags,
-        loopback=InterfaceFlags.LOOPBACK in flags,
-        multicast=InterfaceFlags.MULTICAST in flags,
-        address=_address(name),
-    )
-
-
 def _address(name: str) -> str:
     """IPv4 address of an interface, or "" (netdevice(7))."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
@@ -276,13 +207,11 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
     domain, interface = config.dds.domain, config.dds.interface
     host = inspect_host(config.realtime)
     latency = measure_wakeup_latency(config.realtime, config.stream.rate)
-    wire, join_error = None, ""
     try:
         wire = inspect_domain(domain, interface, host.interfaces, seconds)
     except WireError as error:
-        join_error = error.cause
+        wire = WireFacts(domain, interface, join_error=error.cause)
     robots = G1.of_config(config).joint_set.allowed(config.safety.mode_machine)
-    via = config.stream.via
-    of_ros = None if "domain" in config.dds.model_fields_set else ros_domain()
-    known = Facts(domain, interface, robots, host, wire, join_error, latency, via, of_ros)
-    return evaluate(known)
+    of_ros = "" if "domain" in config.dds.model_fields_set else os.environ.get("ROS_DOMAIN_ID", "")
+    ros_domain = int(of_ros) if of_ros.isdecimal() else None
+    return evaluate(Facts(wire, host, robots, latency, config.stream.via, ros_domain))

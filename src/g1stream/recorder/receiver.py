@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
 from g1stream.child_process import Child, ChildError, Parent, run_child
-from g1stream.dds.domain import OBSERVER, Participant
+from g1stream.dds.discovery import OBSERVER
+from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import TOPICS, Batch
 from g1stream.errors import RecordingError

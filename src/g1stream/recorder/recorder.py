@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
+from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns
 from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, POLICY, Log
 from g1stream.errors import RecordingError, WireError

@@ -25,7 +25,7 @@ OPTIONS: Final = {
     "receiver": r"arm_sdk|ARM_SDK|onboard|motion_service|motion_switcher|via",
     "source: policy, balance": r"policy|feet|balance",
     "support": r"support|bolted|hanging",
-    "clock of the robot": r"time_scale|TimeScale|RobotTime|robot_time",
+    "clock of the robot": r"time_scale|RobotClock|robot_clock",
     "simulator or robot": r"profile|simulated|is_local_only",
     "recordings of others": r"attach|attached|recorded_motion|read_recording|open_log|read_bag",
     "foreign formats": r"gmr|sonic|beyondmimic|mjlab|holosoma|isaaclab|pickle|pickles",

@@ -9,6 +9,7 @@ from g1stream.app.rollout import rollout
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.robot_clock import RobotClock
 from g1stream.control.sources import HeldTorques, Moment, Traits
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Target
@@ -235,7 +236,7 @@ def test_the_observer_is_bounded(model):
 
 
 def test_velocities_are_given_in_the_time_of_the_robot(made, target, imu):
-    asked = command(made(time_scale=0.8), target, imu)
+    asked = command(made(robot_clock=RobotClock(0.8)), target, imu)
     assert asked.dq == pytest.approx(target.dq / 0.8)
     assert asked.ddq == pytest.approx(target.ddq / 0.64)
     assert asked.q.tolist() == target.q.tolist()

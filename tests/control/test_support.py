@@ -9,7 +9,7 @@ import pytest
 from g1stream.app.rollout import rollout
 from g1stream.config import load_config
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.robot_time import TimeScale
+from g1stream.control.robot_clock import RobotClock
 from g1stream.control.support import SupportCheck
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
@@ -41,16 +41,16 @@ def test_a_wrong_support_that_the_bridge_does_not_announce_is_found(held, told):
 @pytest.mark.parametrize("name", ["cpp", "cpp_swinging", "python", "python_stalling"])
 def test_a_robot_that_hangs_in_unitree_mujoco_is_taken_to_hang(name):
     """Though it swings, its arms press on the torso, time stalls, and states are repeated."""
-    dynamics, scale = InverseDynamics(G1.load("g1_29dof")), TimeScale()
+    dynamics, clock = InverseDynamics(G1.load("g1_29dof")), RobotClock()
     checks = {support: SupportCheck(dynamics, support) for support in get_args(Support)}
     with np.load(EXTRACTS / f"{name}.npz") as recorded:
         columns = [recorded[key] for key in ("time", "q", "dq", "quat", "gyro", "accelerometer")]
     for time, q, dq, quat, gyroscope, accelerometer in zip(*columns, strict=True):
         imu = ImuReading(quat, gyroscope, accelerometer)
         measured = Reading(q, dq, np.zeros(29), imu, received=round(1e9 * time))
-        scale.add(measured)
+        clock.take(measured, moving=True)
         for check in checks.values():
-            check.add(measured, np.zeros(3), scale.value)
+            check.add(measured, np.zeros(3), clock.scale)
     assert [support for support, check in checks.items() if not check.wrong] == ["hanging"]
 
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.reading import STALE, all_finite, is_unit
-from g1stream.control.robot_time import TimeScale
+from g1stream.control.robot_clock import RobotClock
 from g1stream.control.sources import Mode, Status
 from g1stream.control.stop import Stop
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
 from g1stream.session.records import FeedForwardChange
-from g1stream.types import FeedForwardKind, Floats, Ints, Phase
+from g1stream.types import FeedForwardKind, Floats, Ints
 
 if TYPE_CHECKING:
-    from g1stream.control.reading import ImuReading, Reading
+    from g1stream.control.reading import ImuReading
     from g1stream.control.sources import Moment, Source
     from g1stream.control.targets import Target
 
@@ -52,7 +52,7 @@ class FeedForward:
         preview: time by which the target of a command is ahead of its publish time, s, because it
             takes effect later. None: `delay`, plus a period for a bridge that announces its
             support.
-        time_scale: ratio of simulated to real time; None: it is measured.
+        robot_clock: the robot's time; by default it passes as the computer's.
         delay: known time from receiving a command until the motors apply it, s.
         torque_scale: (29,) ratio of the torque that the motors apply to the commanded torque; the
             torque of the source is divided by it.
@@ -61,7 +61,7 @@ class FeedForward:
         mode: as decided when RAMP begins.
         status: of the source after the newest command.
         preview: as decided, s; 0 before RAMP begins.
-        scale: the measured time scale; None if it is given.
+        robot_clock: as given.
         saturated: (29,) int64, ticks at which each joint's torque was at its limit.
         changes: when the torque was switched off and on again, in order.
     """
@@ -73,17 +73,17 @@ class FeedForward:
         limit: Floats,
         period: float,
         preview: float | None = 0.0,
-        time_scale: float | None = 1.0,
+        robot_clock: RobotClock | None = None,
         delay: float = 0.0,
         torque_scale: Floats | float = 1.0,
     ) -> None:
         self.mode, self.status = Mode(), Status()
         self.preview = 0.0
-        self.scale = TimeScale() if time_scale is None else None
+        self.robot_clock = robot_clock or RobotClock(1.0)
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
         self._source = source
-        self._told_preview, self._told_scale = preview, time_scale or 1.0
+        self._told_preview = preview
         self._delay, self._torque_scale = delay, torque_scale
         self._limit = limit
         self._period = period
@@ -110,29 +110,20 @@ class FeedForward:
         self.mode = self._source.begin(first, announced, robot)
         self.status = self._source.status
 
-    @property
-    def time_scale(self) -> float:
-        """Ratio of simulated to real time, as given or measured."""
-        return self.scale.value if self.scale else self._told_scale
-
-    def observe(self, phase: Phase, measured: Reading) -> None:
-        """Process a new LowState; `phase` is the phase of the newest command."""
-        if self.scale and Phase.WAIT < phase < Phase.DAMP:
-            self.scale.add(measured)
-
     def command(self, moment: Moment) -> Target:
         """The target with the dq and tau of its command."""
         target, observes = moment.target, self._source.traits.observes
+        scale = self.robot_clock.scale
         if self.mode.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
         if not observes:
-            target = target.slowed(self.time_scale)
+            target = target.slowed(scale)
         if self.mode.kind == "velocity":
             return target
         # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
         age = 0.0 if observes else moment.age
         fault = self.status.fault or _find_fault(moment.measured.imu, age)
-        moment = moment._replace(target=target, scale=self.time_scale, fault=fault)
+        moment = moment._replace(target=target, scale=scale, fault=fault)
         target = self._source.command(moment)
         self.status = self._source.status
         if not fault:

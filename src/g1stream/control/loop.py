@@ -18,7 +18,7 @@ from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
 from g1stream.control.link import OtherPublishers
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.report import LoopReport, Overruns
-from g1stream.control.robot_time import RobotTime
+from g1stream.control.robot_clock import RobotClock
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.stop import Stop
 from g1stream.control.targets import COAST_NS, Targets, Timing
@@ -62,7 +62,6 @@ class StreamLoop:
         checks: checks of received LowStates.
         overruns: counts the ticks that the loop misses.
         period: time between commands, ns.
-        in_robot_time: the motion follows the robot's time, not the clock.
         allow_second_writer: play even if there is another publisher of LowCmd.
         where: DDS domain and network of the robot, for log messages.
 
@@ -82,7 +81,6 @@ class StreamLoop:
         overruns: Overruns,
         *,
         period: int,
-        in_robot_time: bool = False,
         allow_second_writer: bool = False,
         where: str = "",
     ) -> None:
@@ -91,6 +89,7 @@ class StreamLoop:
         self._schedule = schedule
         self._commands = commands
         self._feedforward = commands.feedforward
+        self._robot_clock = commands.feedforward.robot_clock
         self._checks = checks
         self._overruns = overruns
         self._period = period
@@ -99,7 +98,6 @@ class StreamLoop:
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
         self._where, self._next_told = where, _TOLD
-        self._in_robot_time, self._robot_time = in_robot_time, RobotTime()
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
@@ -211,8 +209,8 @@ class StreamLoop:
     def _catch_up(self, deadline: int, gap: int) -> None:
         """Continue after ticks were skipped for `gap` ns, or stop after too long a stall.
 
-        The target advances by at most `MAX_STEP_TIME`, and by what `RobotTime` catches up. The rest
-        of the time is added to the phase, so that the motion ends later instead of jumping.
+        The target advances by at most `MAX_STEP_TIME`, and by what `RobotClock` catches up. The
+        rest of the time is added to the phase, so that the motion ends later instead of jumping.
         """
         # Only time with commands counts towards the configured duration of damping.
         self._commands.delay_soft_start(gap)
@@ -223,8 +221,8 @@ class StreamLoop:
                 self._stop = self._stop or stalled
             delay = max(0, gap - max(0, _CATCH_UP - self._period))
             self._schedule.delay(delay)
-            if self._in_robot_time:
-                self._robot_time.delay += delay
+            if self._robot_clock.followed:
+                self._robot_clock.delay += delay
             else:
                 self.report.delay += delay
             now = self._clock.now()
@@ -264,8 +262,8 @@ class StreamLoop:
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
         self.report.error.received(measured)
-        self._robot_time.add(measured, self._feedforward.time_scale)
-        self._feedforward.observe(self._commands.phase, measured)
+        moving = Phase.WAIT < self._commands.phase < Phase.DAMP
+        self._robot_clock.take(measured, moving=moving)
 
     @property
     def _target_q(self) -> Floats | None:
@@ -294,9 +292,9 @@ class StreamLoop:
         before = self.state
         if before.phase is Phase.RAMP:
             self._schedule.wait_in_ramp(deadline, self._feedforward.status.awaited)
-        elif self._in_robot_time and before.phase in (Phase.PLAY, Phase.HOLD):
-            self._schedule.delay(self._robot_time.wait(now))
-            self.report.waited = self._robot_time.delay
+        elif self._robot_clock.followed and before.phase in (Phase.PLAY, Phase.HOLD):
+            self._schedule.delay(self._robot_clock.wait(now))
+            self.report.waited = self._robot_clock.delay
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
             self._enter_phase(before)
@@ -351,7 +349,7 @@ class StreamLoop:
             self._commands.begin(measured, *self._link.announced())
             self._checks.begin("free" if self._receiver.carries else self._feedforward.mode.support)
         elif phase is Phase.PLAY:
-            self._robot_time.begin(self._clock.now())
+            self._robot_clock.begin(self._clock.now())
         elif phase is Phase.DAMP:
             self._commands.composer.damp()
         change = f"{before.phase.name} -> {phase.name}"
@@ -436,7 +434,7 @@ def make_loop(
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,
         preview=settings.preview,
-        time_scale=config.constants.time_scale,
+        robot_clock=RobotClock(config.constants.time_scale, followed=traits.observes),
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
@@ -455,7 +453,6 @@ def make_loop(
         LowStateChecks(robot, config.safety, config.constants, period, plan.held),
         Overruns(period, config.safety, config.constants),
         period=period,
-        in_robot_time=traits.observes,
         allow_second_writer=config.safety.allow_second_writer,
         where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

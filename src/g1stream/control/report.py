@@ -152,7 +152,7 @@ class LoopReport:
             feedforward_changes=feed.changes,
             balance=BalanceSummary.model_validate(margins) if margins else None,
             robot=mode.robot,
-            time_scale=feed.scale.median if feed.scale else None,
+            time_scale=feed.robot_clock.median,
             states_used=self.states,
             states_wrong_crc=self.checks.crc_errors,
             lateness_histogram_us=late.sparse(),

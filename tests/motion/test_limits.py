@@ -6,7 +6,7 @@ import pytest
 
 from g1stream.app.stream import stream
 from g1stream.config import Config
-from g1stream.control.limits import CommandLimits
+from g1stream.control.limits import PositionLimit
 from g1stream.control.loop import StreamLoop
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits
 from g1stream.motion.trajectory import Trajectory
@@ -121,16 +121,16 @@ def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval, rate
     start, length = interval or (0.0, trajectory.period)
     times = start + np.arange(int(length * rate + 1e-6) + 1) / rate
     asked = trajectory.sample_many(times)
-    limits = CommandLimits(robot, Config().safety.model_copy(update={"position_margin": margin}))
+    limit, still = PositionLimit(robot, margin), np.zeros(len(JOINT_NAMES))
     for target in asked.joint_pos:
-        limits.limit_position(target)
+        limit.apply(np.stack([target, still]), still)
     played = Interval(start, length, loop)
     report = measure_limits(trajectory, robot, played, rate=rate, position_margin=margin)
     speeds = {speed.joint: speed for speed in report.speeds}
     excess = margin + np.maximum(robot.lower - asked.joint_pos, asked.joint_pos - robot.upper)
     held = {joint.joint: joint for joint in report.held}
     assert 5 < len(held) < len(JOINT_NAMES)
-    assert report.n_held == limits.clamped.sum()
+    assert report.n_held == limit.clamped.sum()
     for j, name in enumerate(JOINT_NAMES):
         assert speeds[name].value == pytest.approx(np.abs(asked.joint_vel[:, j]).max(), rel=1e-9)
         assert (
@@ -138,7 +138,7 @@ def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval, rate
         )
         assert (name in held) == (excess[:, j].max() > POSITION_TOLERANCE)
         if name in held:
-            assert held[name].count == limits.clamped[j]
+            assert held[name].count == limit.clamped[j]
             assert abs(held[name].value - held[name].limit) == pytest.approx(excess[:, j].max())
 
 

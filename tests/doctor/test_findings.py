@@ -4,7 +4,7 @@ import pytest
 from cyclonedds.core import Policy
 from cyclonedds.core import Qos as CycloneQos
 
-from g1stream.dds.discovery import OBSERVER, Endpoint, Qos
+from g1stream.dds.discovery import IDLE, OBSERVER, Endpoint, Qos
 from g1stream.dds.local_participants import LocalParticipant
 from g1stream.dds.messages import COMMANDS
 from g1stream.doctor.facts import Interface, Level, StateFacts, WakeupLatency, WireFacts
@@ -92,6 +92,19 @@ def test_a_problem_is_found(name, changed):
     assert (found.level, found.about) == (level, about)
     assert value in found.cause
     assert found.remedy
+
+
+def test_a_guard_that_has_published_nothing_is_not_another_publisher(changed):
+    idle = policies(POLICY, Policy.Userdata(IDLE))
+    assert not any(one.level for one in evaluate(changed(**writers(STATE, SPORT, idle))))
+
+
+def test_the_guard_of_a_stream_is_not_another_program(changed):
+    log = replace(POLICY, topic="rt/g1stream/log")
+    for topics, others in (((POLICY,), 1), ((POLICY, log), 0)):
+        facts = changed(wire=EMPTY | {"writers": topics})
+        (cause,) = [one.cause for one in evaluate(facts) if one.about == "publisher"]
+        assert f"discovered there: {others}" in cause
 
 
 def test_latency_below_a_period(changed):

@@ -75,7 +75,7 @@ def test_workers_take_messages_only_from_who_has_their_key(client):
     assert address.startswith("tls://127.0.0.1:")
     workers = client.scheduler_info()["workers"]
     assert all(one.startswith("tls://127.0.0.1:") for one in workers)
-    # Beside them, a notebook's kernel of another test may run here, on an address of its own.
+    # Other children are those of other tests.
     of_dask = [
         one
         for one in psutil.Process().children(recursive=True)

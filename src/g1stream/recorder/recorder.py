@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge
+from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge, identify_program, topics_of
 from g1stream.dds.endpoints import PublishersByTurns
 from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, POLICY, Log
 from g1stream.errors import RecordingError, WireError
@@ -297,12 +297,21 @@ class Recorder:
             return
         turns = self._turns[name]
         again = [writer for writer in batch.writers if turns.hear(writer)]
-        # A guard may publish before its stream has ended.
-        names = Publishers.from_participant(self._participant, name).names if again else []
-        names = [one for one in names if not one.startswith(GUARD_PROGRAM)]
+        if not again:
+            return
+        participant = self._participant
+        everybody = participant.writers(), participant.readers()
+        names = {
+            participant.owner(one)
+            for one in participant.writers(name)
+            # A guard may publish before its stream has ended.
+            if identify_program(*topics_of([one.participant], *everybody)) != GUARD_PROGRAM
+        }
         if len(names) > 1:
-            self.report.publishers[CHANNEL_OF[name]] = names
-            _LOGGER.warning("several publishers on %s: %s", CHANNEL_OF[name], ", ".join(names))
+            self.report.publishers[CHANNEL_OF[name]] = sorted(names)
+            _LOGGER.warning(
+                "several publishers on %s: %s", CHANNEL_OF[name], ", ".join(sorted(names))
+            )
 
     def _check_losses(self) -> None:
         for name, number in self._update_losses().items():

@@ -843,7 +843,10 @@ def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:
         table = parent.annotation if parent and "." in key else Config
         table_name, _, name = key.rpartition(".")
         if table_name in ("safety", "stream") and name in ProfileConstants._fields:
-            return ConfigError(f"{key}{where} is no setting: the profile fixes it.", "Remove it.")
+            fixed = ", ".join(f"{getattr(one, name)} ({p})" for p, one in PROFILES.items())
+            return ConfigError(
+                f"{key}{where} is no setting: the profile fixes it.", f"Remove it; it is {fixed}."
+            )
         known = ", ".join(getattr(table, "model_fields", {}))
         return ConfigError(f"There is no setting {key}{where}.", f"Choose from {known}.")
     if error["type"] in ("model_type", "dict_type"):

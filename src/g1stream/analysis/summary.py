@@ -287,7 +287,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
         for one in summary.phases
     ]
-    if ramp and stream and not phases:
+    if ramp and stream and not phases and not summary.termination.reason:  # as it was planned
         phases = [f"RAMP {stream.ramp_s:.2f} s{ramp}"]
     settings = []
     if summary.settings is not None:

@@ -144,7 +144,7 @@ def convert(
     how = {
         "base_time_ns": base_time_ns,
         "frames": frames,
-        "resample": resample,
+        "resample": None if resample is None else float(resample),
         "floating_root": floating_root,
         "flat": flat,
         "only_tf": only_tf,

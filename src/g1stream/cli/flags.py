@@ -345,7 +345,8 @@ class _Parser(ArgumentParser):
         raise ConfigError(f"{cause[0].upper()}{cause[1:]}.", self._see_help())
 
     def _see_help(self) -> str:
-        return f"`g1stream {self._command} --help` lists what it accepts."
+        shown = "--help-all" if self._advanced else "--help"
+        return f"`g1stream {self._command} {shown}` lists what it accepts."
 
 
 def _settings_of(command: str) -> dict[str, FieldInfo]:

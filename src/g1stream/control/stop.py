@@ -38,7 +38,7 @@ _LOOK: Final = "Look at this joint in the recording, and at the motion with `g1s
 REMEDIES: Final[dict[StopKind, str]] = {
     "state": "`g1stream doctor` looks for the cause; a simulator needs free CPUs.",
     "robot": "--robot names another kind of G1.",
-    "tilt": "Set the robot up again. A motion alone does not keep it upright.",
+    "tilt": "Set the robot up again. If it hangs and only swings, play a smaller or slower part.",
     "speed": _LOOK,
     "torque": _LOOK,
     "tracking": "Check the gains, and the motion with `g1stream physics`.",

@@ -162,6 +162,9 @@ class DdsLink:
         heartbeat = self._heartbeat
         if heartbeat is None:
             written = self._write(command, stamp)
+        elif heartbeat.takeover:  # the guard goes on from the command before, which stays
+            self._participant.cut_off()
+            return 0
         else:
             heartbeat.begin_write(command, time.monotonic_ns())
             written = 0

@@ -84,7 +84,8 @@ def test_nothing_is_sent_after_the_guard_has_taken_over(guarded):
     assert link.send(STIFF, Reference().tobytes(), 1) > 0
     written = heartbeat.last_write
     heartbeat.takeover = Takeover.SILENT
-    assert link.send(STIFF, Reference().tobytes(), 1) == 0
+    assert link.send(DAMPING, Reference().tobytes(), 1) == 0
+    assert heartbeat.command == STIFF  # from which the guard goes on
     heartbeat.takeover = Takeover.NONE
     assert link.send(DAMPING, Reference().tobytes(), 1) > written
     assert commands(2) == [STIFF, DAMPING]

@@ -236,7 +236,7 @@ class Summary(Record):
 
     def __str__(self) -> str:
         """The summary as text of `WIDTH` columns, with sections for what there is."""
-        # Of a selection, the counters are those of the whole session.
+        # The counters are those of the whole session, not of a selection.
         stream = stream_facts(self.stream) if self.stream and not self.selected else []
         sections = (
             _lines(session_facts(self)),

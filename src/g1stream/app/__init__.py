@@ -1,1 +1,1 @@
-"""What a user runs: stream, record, sim, convert, live, demo and rollout."""
+"""What a user runs: stream, record, sim, convert, demo and rollout."""

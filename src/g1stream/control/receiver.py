@@ -29,7 +29,6 @@ RECEIVERS: Final[Mapping[Via, str]] = {
 }
 """Receivers as `module:class`, by `stream.via`. To add one, add a row."""
 
-
 SERVICE_TIMEOUT: Final = 3.0
 """Longest wait for the motion service, including discovery, s."""
 

@@ -22,11 +22,12 @@ __all__ = [
     "Endpoint",
     "Qos",
     "identify_program",
+    "program_of",
     "topics_of",
 ]
 
 GUARD_PROGRAM: Final = "g1stream guard"
-"""First words of `Participant.owner` for a guard."""
+"""Name of a guard, as of `program_of`."""
 
 
 # g1stream's programs announce themselves in the user data of their writers and readers. User data
@@ -172,7 +173,7 @@ class Endpoint:
 
     def owner(self, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> str:
         """Its process or participant, named after the program that the topics of it show."""
-        program = identify_program(*topics_of([self.participant], writers, readers))
+        program = program_of(self.participant, writers, readers)
         if not self.pid:
             return f"participant {self.participant}"
         process, host = program or self.process or "process", self.host or "an unknown host"
@@ -185,6 +186,11 @@ def topics_of(
     """Topics that participants, by GUID, write and read."""
     written = {one.topic for one in writers if one.participant in participants}
     return written, {one.topic for one in readers if one.participant in participants}
+
+
+def program_of(participant: str, writers: Iterable[Endpoint], readers: Iterable[Endpoint]) -> str:
+    """Name of the g1stream program that a participant, by GUID, belongs to, or ""."""
+    return identify_program(*topics_of([participant], writers, readers))
 
 
 def identify_program(written: set[str], read: set[str]) -> str:

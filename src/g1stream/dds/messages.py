@@ -452,8 +452,9 @@ POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
 COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": Topic("rt/arm_sdk", LowCmd)}
-COMMAND_NAMES: Final = frozenset(topic.name for topic in COMMANDS.values())
 """Topics of commands, by `stream.via`."""
+
+COMMAND_NAMES: Final = frozenset(topic.name for topic in COMMANDS.values())
 
 TOPICS: Final = (
     *COMMANDS.values(),

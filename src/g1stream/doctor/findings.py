@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.discovery import GUARD_PROGRAM, Qos, identify_program, topics_of
+from g1stream.dds.discovery import GUARD_PROGRAM, Qos, program_of, topics_of
 from g1stream.dds.messages import COMMAND_NAMES, COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import (
     Facts,
@@ -230,7 +230,7 @@ def _others(wire: WireFacts) -> int:
     """Number of other participants, without the guard of the stream that calls the doctor."""
     found = wire.writers, wire.readers
     others = {one.participant for endpoints in found for one in endpoints}
-    return sum(identify_program(*topics_of([one], *found)) != GUARD_PROGRAM for one in others)
+    return sum(program_of(one, *found) != GUARD_PROGRAM for one in others)
 
 
 def _programs(local: Iterable[LocalParticipant]) -> str:

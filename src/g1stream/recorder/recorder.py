@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge, identify_program, topics_of
+from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge, program_of
 from g1stream.dds.endpoints import PublishersByTurns
 from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, POLICY, Log
 from g1stream.errors import RecordingError, WireError
@@ -305,7 +305,7 @@ class Recorder:
             participant.owner(one)
             for one in participant.writers(name)
             # A guard may publish before its stream has ended.
-            if identify_program(*topics_of([one.participant], *everybody)) != GUARD_PROGRAM
+            if program_of(one.participant, *everybody) != GUARD_PROGRAM
         }
         if len(names) > 1:
             self.report.publishers[CHANNEL_OF[name]] = sorted(names)

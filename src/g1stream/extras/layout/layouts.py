@@ -92,24 +92,12 @@ def foxglove_layout(
         limit = float(robot.torque_limit[robot.joint_names.index(joint)])
         panels[position] = _plot(
             f"{name}, rad",
-            [
-                (
-                    _joint_path("/reference/joint_states", joint, "position"),
-                    "reference",
-                    _REFERENCE,
-                ),
-                (_joint_path("/measured/joint_states", joint, "position"), "measured", _MEASURED),
-            ],
+            _curves(joint, "position", "reference", "measured"),
         )
         panels[torque] = _plot(
             f"{name}, N·m",
             [
-                (
-                    _joint_path("/reference/joint_states", joint, "effort"),
-                    "feed-forward",
-                    _REFERENCE,
-                ),
-                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", _MEASURED),
+                *_curves(joint, "effort", "feed-forward", "estimated"),
                 (f"{limit:g}", "limit", _RED),
                 (f"{-limit:g}", "-limit", _RED),
             ],
@@ -130,6 +118,14 @@ def foxglove_layout(
         "playbackConfig": {"speed": 1},
         "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 46},
     }
+
+
+def _curves(joint: str, field: str, reference: str, measured: str) -> list[tuple[str, str, str]]:
+    """A field of a joint in the reference and in the measurement, as labelled curves."""
+    return [
+        (_joint_path("/reference/joint_states", joint, field), reference, _REFERENCE),
+        (_joint_path("/measured/joint_states", joint, field), measured, _MEASURED),
+    ]
 
 
 _BY_LOG_TIME: Final = {"enabled": True, "timestampMethod": "receiveTime"}

@@ -19,7 +19,7 @@ import g1stream
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.feet.balance import Balance
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
 
@@ -37,7 +37,7 @@ def compare(session: Session) -> str:
     balance = Balance(session.robot, float(np.median(np.diff(times))))
     found = np.empty((len(times), 10))  # position, velocity, attitude
     for k, row in enumerate(newest):
-        target = Target(
+        target = Setpoint(
             float(reference.motion_time[k]),
             reference.q[k],
             reference.dq[k],

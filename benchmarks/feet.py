@@ -24,7 +24,7 @@ from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment, load_source
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.physics.example_motions import squatting, stepping
 from g1stream.extras.physics.stance import on_standing_legs, stand
@@ -188,7 +188,7 @@ def ticks(motion: Motion) -> None:
     """What the torque of a tick takes, beside that of the feed-forward of a hanging robot."""
     trajectory = Trajectory(motion)
     times = np.arange(0.0, motion.duration, 0.01)
-    targets = [Target.from_point(at, trajectory.sample(at)) for at in times]
+    targets = [Setpoint.from_point(at, trajectory.sample(at)) for at in times]
     balance = Balance(ROBOT, 0.002)
     balance.begin(targets[0])
     hung = load_config(over={"stream.support": "hanging"})

@@ -10,7 +10,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
 from g1stream.control.reading import STALE, Reading
 from g1stream.control.receiver import Receiver
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.dds.messages import LowCmd, LowState
 from g1stream.robot.model import G1
 from g1stream.types import Phase
@@ -23,7 +23,7 @@ TICKS = 30
 
 def target(q, dq, tau):
     zeros = np.zeros(3)
-    return Target(0.0, q, dq, np.zeros(29), tau, zeros, np.array([1.0, 0, 0, 0]), *[zeros] * 4)
+    return Setpoint(0.0, q, dq, np.zeros(29), tau, zeros, np.array([1.0, 0, 0, 0]), *[zeros] * 4)
 
 
 def some(rng, scale, share):

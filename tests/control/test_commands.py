@@ -7,7 +7,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits, PositionLimit
 from g1stream.control.reading import Reading
 from g1stream.control.receiver import Receiver
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.robot.joints import JOINT_NAMES
@@ -32,7 +32,7 @@ def test_command_and_reference_have_their_own_targets(make_limits):
     composer = Composer(make_limits(), Gains(KP, KD), Receiver(2_000_000, 0.5))
     composer.begin(np.zeros(29, np.float32), 5)
     sizes = [29, 29, 29, 29, 3, 4, 3, 3, 3, 3]
-    target = Target(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))
+    target = Setpoint(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))
     commanded = target._replace(q=np.full(29, 0.02), dq=np.full(29, 0.3), tau=np.arange(29.0))
     command, reference = LowCmd(), Reference()
     composed = composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD)

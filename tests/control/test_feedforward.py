@@ -12,7 +12,7 @@ from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.robot_clock import RobotClock
 from g1stream.control.sources import HeldTorques, Moment, Traits
 from g1stream.control.support import ForceObserver
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.dds.messages import LowState
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import Solution
@@ -53,7 +53,7 @@ def imu():
 
 @pytest.fixture
 def target(trajectory):
-    return Target.from_point(0.2, trajectory.sample(0.2))
+    return Setpoint.from_point(0.2, trajectory.sample(0.2))
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
 import pytest
 
 from g1stream.config import GainsConfig, load_config
-from g1stream.control.gains import gains_in_play, resolve_gains
+from g1stream.control.gains import resolve_gains
+from g1stream.control.plan import plan
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
-from g1stream.robot.model import G1
 
 
 def test_defaults_are_the_example():
@@ -36,8 +36,8 @@ def test_a_pattern_that_matches_no_joint_is_named_with_close_matches(table, patt
 
 def test_joints_that_are_free_have_their_damping_only():
     over = {"stream.joints": "legs", "stream.others": "free", "gains.kd": {"waist": 2.0}}
-    gains = gains_in_play(load_config(over=over), G1.default())
+    gains = plan("demo", load_config(over=over)).gains
     assert gains.kp.tolist() == [*EXAMPLE_KP[:12], *[0.0] * 17]
     assert gains.kd.tolist() == [*EXAMPLE_KD[:12], *[2.0] * 3, *EXAMPLE_KD[15:]]
-    held = gains_in_play(load_config(over={"stream.joints": "legs"}), G1.default())
+    held = plan("demo", load_config(over={"stream.joints": "legs"})).gains
     assert held.kp.tolist() == EXAMPLE_KP.tolist()

@@ -61,7 +61,7 @@ def policy(monkeypatch):
 def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion, events):
     planned = plan(motion, CONFIG)
     assert planned.motion.name == "changed"
-    assert planned.gains is GAINS
+    assert [values.tolist() for values in planned.gains] == [values.tolist() for values in GAINS]
     assert planned.events[0][1] == "as the policy knows it"
     make_loop(planned, link, clock).run()
     playing = link.in_phase(Phase.PLAY)

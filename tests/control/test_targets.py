@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.control.schedule import PhaseState, Schedule
-from g1stream.control.targets import Target, Targets, Timing
+from g1stream.control.targets import Setpoint, Targets, Timing
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
@@ -115,7 +115,7 @@ def test_play_is_the_trajectory(targets, trajectory, elapsed):
     target, point = targets.at(Phase.PLAY, elapsed), trajectory.sample(0.1 + elapsed)
     assert target.motion_time == 0.1 + elapsed
     of_joints = {"q": "joint_pos", "dq": "joint_vel", "ddq": "joint_acc"}
-    for part in (*of_joints, *Target._fields[5:]):
+    for part in (*of_joints, *Setpoint._fields[5:]):
         due = getattr(point, of_joints.get(part, part))
         assert getattr(target, part).tolist() == due.tolist()
     assert not target.tau.any()

@@ -6,14 +6,14 @@ import pytest
 from g1stream.analysis.tracking import errors_of_run, tracking
 from g1stream.app.session import Session
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.control.tracking_error import ErrorSums, RunningError
 from g1stream.session.source import MemorySource
 from g1stream.testing import SyntheticSession
 from g1stream.types import Phase
 
 NOTHING = np.zeros(29)
-TARGET = Target(0.0, *[NOTHING] * 10)
+TARGET = Setpoint(0.0, *[NOTHING] * 10)
 IMU = ImuReading(np.zeros(4), np.zeros(3), np.zeros(3))
 EVERY = np.ones(29, bool)
 

@@ -27,7 +27,9 @@ def with_knee(motion, frames, change):
 
 def fitted(motion, simulated=True, **settings):
     over = {f"stream.{name}": value for name, value in settings.items()}
-    return fit_to_robot(motion, ROBOT, load_config(over=over), simulated=simulated)
+    config = load_config(over=over)
+    played = ROBOT.select(config.stream.played_joints)
+    return fit_to_robot(motion, ROBOT, config, played, simulated=simulated)
 
 
 @pytest.mark.parametrize("loop", [False, True])
@@ -110,7 +112,8 @@ def test_joints_that_are_not_played_may_be_beyond_their_limits(demo):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_every_kind_of_g1_plays_the_demo(demo, name):
     """One has no joints at its feet, of which the floor's height would be told."""
-    playable = fit_to_robot(demo, G1.load(name), load_config(), simulated=True)
+    robot = G1.load(name)
+    playable = fit_to_robot(demo, robot, load_config(), robot.present, simulated=True)
     assert playable.trajectory.motion is demo
 
 

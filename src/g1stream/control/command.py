@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from g1stream.control.reading import Reading
     from g1stream.control.receiver import Receiver
     from g1stream.control.schedule import Schedule
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
 
 __all__ = ["Composer", "NextCommand", "Prepared"]
 
@@ -83,8 +83,8 @@ class Composer:
 
     def compose(
         self,
-        due: Target,
-        commanded: Target,
+        due: Setpoint,
+        commanded: Setpoint,
         phase: Phase,
         tick: int,
         *,
@@ -164,7 +164,7 @@ class Prepared(NamedTuple):
 
     command: bytes
     reference: bytes
-    target: Target
+    target: Setpoint
     due: int
     measured: Reading | None
     told: tuple[bytes, ...] = ()
@@ -264,7 +264,7 @@ class NextCommand:
         self.compose(due, commanded, deadline, measured)
 
     def compose(
-        self, due: Target, commanded: Target, deadline: int, measured: Reading | None
+        self, due: Setpoint, commanded: Setpoint, deadline: int, measured: Reading | None
     ) -> None:
         """Limit and encode the target `commanded`, with `due` as the reference."""
         since = deadline - self._period if self._sent_for is None else self._sent_for

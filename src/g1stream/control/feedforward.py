@@ -22,7 +22,7 @@ from g1stream.types import FeedForwardKind, Floats, Ints
 if TYPE_CHECKING:
     from g1stream.control.reading import ImuReading
     from g1stream.control.sources import Moment, Source
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
 
 __all__ = ["FeedForward"]
 
@@ -98,7 +98,7 @@ class FeedForward:
             fall = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
         return Stop("fall", fall) if fall else None
 
-    def begin(self, first: Target, announced: str | None, robot: str | None = None) -> None:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None = None) -> None:
         """Choose the preview, and begin the source, whose arguments these are."""
         # The servo of g1stream's bridge runs at the rate of commands. On average it reads a command
         # half a period after its arrival, and holds it for a period. unitree_mujoco's bridges run
@@ -110,7 +110,7 @@ class FeedForward:
         self.mode = self._source.begin(first, announced, robot)
         self.status = self._source.status
 
-    def command(self, moment: Moment) -> Target:
+    def command(self, moment: Moment) -> Setpoint:
         """The target with the dq and tau of its command."""
         target, observes = moment.target, self._source.traits.observes
         scale = self.robot_clock.scale

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import numpy as np
-
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, matching_joints
 from g1stream.types import Floats
 
@@ -13,10 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from g1stream.config import Config, GainsConfig
-    from g1stream.robot.model import G1
+    from g1stream.config import GainsConfig
 
-__all__ = ["Gains", "gains_in_play", "read_gains", "resolve_gains"]
+__all__ = ["Gains", "read_gains", "resolve_gains"]
 
 _FORMAT: Final = (
     'Write tables [kp] and [kd] of joint names or patterns, such as "*_knee_joint" = 150.0.'
@@ -44,21 +41,6 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
         _resolved(EXAMPLE_KP, config.kp, f"{where}, kp"),
         _resolved(EXAMPLE_KD, config.kd, f"{where}, kd"),
     )
-
-
-def gains_in_play(config: Config, robot: G1) -> Gains:
-    """The gains of a session, from the config.
-
-    kp is 0 for free joints. Both gains are 0 for joints that the robot does not have.
-
-    Raises:
-        ConfigError: a name or pattern matches no joint.
-    """
-    gains, settings = resolve_gains(config.gains), config.stream
-    held = robot.present
-    if settings.others == "free":
-        held = robot.select(settings.played_joints)
-    return Gains(np.where(held, gains.kp, 0.0), np.where(robot.present, gains.kd, 0.0))
 
 
 def _resolved(default: Floats, table: Mapping[str, float], where: str) -> Floats:

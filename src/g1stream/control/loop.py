@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from g1stream.control.link import Link
     from g1stream.control.plan import Plan
     from g1stream.control.reading import Reading
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
     from g1stream.types import Floats
 
 __all__ = ["StreamLoop", "make_loop"]
@@ -385,7 +385,7 @@ class StreamLoop:
             finally:
                 self._schedule.state = replace(self.state, phase=Phase.DONE)
 
-    def _damp(self, target: Target, deadline: int) -> None:
+    def _damp(self, target: Setpoint, deadline: int) -> None:
         """Damp for the configured time, then raise the first error of that time."""
         self._commands.composer.damp()  # the loop may have failed between DAMP and its gains
         failure: BaseException | None = None
@@ -420,8 +420,7 @@ def make_loop(
     config, settings, robot = plan.config, plan.config.stream, plan.robot
     period, receiver, traits = settings.period, plan.receiver, plan.source.traits
     limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=traits.observes)
-    commanded = robot.present & receiver.joints
-    composer = Composer(limits, plan.gains, receiver, plan.played, commanded)
+    composer = Composer(limits, plan.gains, receiver, plan.played, plan.commanded)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
     if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)

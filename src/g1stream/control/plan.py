@@ -10,7 +10,7 @@ import numpy as np
 
 from g1stream.config import Config
 from g1stream.control.combinations import require_combination
-from g1stream.control.gains import gains_in_play
+from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.receiver import load_receiver
 from g1stream.control.sources import load_source
 from g1stream.control.wire_settings import for_wire
@@ -18,15 +18,15 @@ from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.network import is_local_only
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.session.records import SessionInfo
+from g1stream.session.records import MotionInfo, ParametersInfo, SessionInfo
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from g1stream.control.gains import Gains
     from g1stream.control.receiver import Receiver
     from g1stream.control.sources import Source
     from g1stream.motion.limits import Interval
@@ -48,9 +48,10 @@ class Plan:
         interval: the part of the trajectory that is played.
         slowed: factor by which the motion was slowed down; 1 if it was not.
         receiver: the receiver of the commands.
-        gains: gains of the servos.
+        gains: gains of the servos; 0 for motors that have none.
         played: (29,) joints that play the motion.
-        held: (29,) joints with a position servo.
+        held: (29,) joints with a position servo, which follow a target.
+        commanded: (29,) motors that get commands; the slots of the others are 0.
         source: source of the torques or targets of commands.
         events: log messages about the motion, with their levels.
     """
@@ -64,6 +65,7 @@ class Plan:
     gains: Gains
     played: NDArray[np.bool_]
     held: NDArray[np.bool_]
+    commanded: NDArray[np.bool_]
     source: Source = field(repr=False)
     events: tuple[tuple[int, str], ...] = ()
 
@@ -78,8 +80,14 @@ class Plan:
 
     def session_info(self) -> SessionInfo:
         """The metadata of a session file before its first sample."""
-        return SessionInfo.from_config(
-            self.config, self.robot, self.motion, self.gains._asdict(), self.source.traits.about
+        told = {"policy": self.source.traits.about, "params": ParametersInfo.from_robot(self.robot)}
+        return SessionInfo(
+            motion=MotionInfo.from_motion(self.motion),
+            gains={name: values.tolist() for name, values in self.gains._asdict().items()},
+            joints=[JOINT_NAMES[i] for i in np.flatnonzero(self.played)],
+            absent=[JOINT_NAMES[i] for i in self.robot.joint_set.absent],
+            config=self.config.model_dump(mode="json"),
+            **{name: value for name, value in told.items() if value},
         )
 
     def log_events(self) -> None:
@@ -111,16 +119,18 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     played = robot.select(settings.played_joints)
     require_combination(config, robot, simulated=simulated)
     receiver = load_receiver(settings.via, settings.period, settings.damp)
-    held = played if settings.others == "free" else robot.present & receiver.joints
+    commanded = robot.present & receiver.joints
+    held = played if settings.others == "free" else commanded
     source = load_source(config, robot, receiver.source, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.prepare(motion)
-    asked, commanded = config, not source.traits.observes
-    if not commanded:
+    asked, limited = config, not source.traits.observes
+    if not limited:
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
         asked = config.model_copy(update={"stream": whole})
-    fit = fit_to_robot(motion, robot, asked, simulated=simulated, commanded=commanded)
+    fit = fit_to_robot(motion, robot, asked, played, simulated=simulated, limited=limited)
+    gains = source.traits.gains or resolve_gains(config.gains)
     return Plan(
         config=config,
         robot=robot,
@@ -128,9 +138,10 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         interval=fit.interval,
         slowed=fit.slowed,
         receiver=receiver,
-        gains=source.traits.gains or gains_in_play(config, robot),
+        gains=Gains(np.where(held, gains.kp, 0.0), np.where(commanded, gains.kd, 0.0)),
         played=played,
         held=held,
+        commanded=commanded,
         source=source,
         events=(*([(logging.INFO, changed)] if changed else []), *fit.events),
     )

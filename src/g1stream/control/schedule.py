@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from g1stream.control.targets import Target, Targets
+    from g1stream.control.targets import Setpoint, Targets
 
 __all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 
@@ -155,7 +155,7 @@ class Schedule:
             _LOGGER.info("RAMP waits: %s", awaited)
         self.timing = replace(self.timing, awaited=longer)
 
-    def go_down(self, now: int, stop: Stop, last: Target, *, stands: bool) -> bool:
+    def go_down(self, now: int, stop: Stop, last: Setpoint, *, stands: bool) -> bool:
         """End with the way down, as soon as it is possible; False if there is none.
 
         Call it at every tick until the end. In RAMP, a robot can go down only if it `stands`. Then
@@ -186,11 +186,11 @@ class Schedule:
             return 1.0
         return min(1.0, self.state.elapsed(now) / self.timing.ramp)
 
-    def target(self, now: int, last: Target) -> Target:
+    def target(self, now: int, last: Setpoint) -> Setpoint:
         """The target at a time in the current phase; `last` is the previous target."""
         return self.targets.at(self.state.phase, self.state.elapsed(now), self.timing, last)
 
-    def target_ahead(self, then: int, last: Target) -> Target:
+    def target_ahead(self, then: int, last: Setpoint) -> Setpoint:
         """The target at a later time, in the phase of that time if the session continues."""
         endless = replace(self.timing, way_down=_FOREVER)
         state = step(then, self.state, Inputs(), endless)

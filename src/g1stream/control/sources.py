@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.control.gains import Gains
     from g1stream.control.reading import Reading
-    from g1stream.control.targets import Target, WayDown
+    from g1stream.control.targets import Setpoint, WayDown
     from g1stream.motion.motion import Motion
     from g1stream.session.records import PolicyInfo
 
@@ -61,7 +61,7 @@ class Moment(NamedTuple):
 
     phase: Phase
     ramped: float
-    target: Target
+    target: Setpoint
     measured: Reading
     age: float
     time: float = 0.0
@@ -153,7 +153,7 @@ class Source:
         """
         return motion, ""
 
-    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         """Choose how commands are made when RAMP begins, and log the choice.
 
         Args:
@@ -177,7 +177,7 @@ class Source:
             _LOGGER.warning("feed-forward: velocity only: the support is unknown; give --support")
         return Mode(kind, support)
 
-    def command(self, moment: Moment) -> Target:
+    def command(self, moment: Moment) -> Setpoint:
         """The target of a command, with feed-forward torque, which is added to the servos'.
 
         It may compute at a lower rate, and return the same target in between. The result is kept
@@ -245,7 +245,7 @@ class HeldTorques(Source):
             fault = f"the robot does not move as with support {self._held}; correct --support"
         return Status(fault=fault)
 
-    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         mode = super().begin(first, announced, robot)
         support = mode.support
         if mode.kind != "dynamics" or support is None or support == "feet":
@@ -275,7 +275,7 @@ class HeldTorques(Source):
             self._observer = ForceObserver(self._dynamics, self._period)
         return self._dynamics.name
 
-    def command(self, moment: Moment) -> Target:
+    def command(self, moment: Moment) -> Setpoint:
         target, measured, dynamics = moment.target, moment.measured, self._dynamics
         last, self._last = self._last, moment
         if self._check and last and last.phase is Phase.PLAY and measured is not last.measured:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from g1stream.motion.spline import TrajectoryPoint
     from g1stream.motion.trajectory import Trajectory
 
-__all__ = ["COAST_NS", "LOWERED", "Ramp", "Target", "Targets", "Timing", "WayDown"]
+__all__ = ["COAST_NS", "LOWERED", "Ramp", "Setpoint", "Targets", "Timing", "WayDown"]
 
 LOWERED: Final = 0.9
 """Share of RAMP in which a lifted pelvis is lowered."""
@@ -40,7 +40,7 @@ for _zeros in (_NO_MOTION, _NO_TORQUE):
     _zeros.setflags(write=False)  # all targets at rest share them
 
 
-class Target(NamedTuple):
+class Setpoint(NamedTuple):
     """The desired state of joints and root at one instant; its arrays are read-only.
 
     Attributes:
@@ -68,7 +68,7 @@ class Target(NamedTuple):
     root_ang_acc: Floats
 
     @classmethod
-    def from_point(cls, time: float, point: TrajectoryPoint) -> Target:
+    def from_point(cls, time: float, point: TrajectoryPoint) -> Setpoint:
         """Make a target at motion time `time`, s, from a trajectory sample, with zero torque."""
         for array in point:
             array.setflags(write=False)  # one target is shared by several callers
@@ -86,7 +86,7 @@ class Target(NamedTuple):
             point.root_ang_acc,
         )
 
-    def slowed(self, scale: float) -> Target:
+    def slowed(self, scale: float) -> Setpoint:
         """The target with rates divided by a time scale; the same object if the scale is 1."""
         if scale == 1.0:
             return self
@@ -100,7 +100,7 @@ class Target(NamedTuple):
             root_ang_acc=per_s2 * self.root_ang_acc,
         )
 
-    def at_rest(self) -> Target:
+    def at_rest(self) -> Setpoint:
         """A copy with the same pose and zero velocity, acceleration and torque."""
         return self._replace(
             dq=_NO_TORQUE,
@@ -189,10 +189,10 @@ class WayDown(Protocol):
 
     length: float
 
-    def possible(self, target: Target) -> bool:
+    def possible(self, target: Setpoint) -> bool:
         """Whether the way down can begin at a target."""
 
-    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+    def plan(self, standing: Setpoint) -> Callable[[float, Floats], Setpoint]:
         """Plan the way down from a target at rest.
 
         Returns:
@@ -235,7 +235,7 @@ class Targets:
         self._lift = np.array([0.0, 0.0, _LIFT if way_down else 0.0])
         self.way_down = way_down
         self._from: Floats | None = None
-        self.first = Target.from_point(start, trajectory.sample(start))
+        self.first = Setpoint.from_point(start, trajectory.sample(start))
         # With a preview of one period, each time is sampled twice in a row.
         self._playing = lru_cache(maxsize=1)(self._sample)
         self._planned = lru_cache(maxsize=1)(self._plan_way_down)
@@ -247,7 +247,7 @@ class Targets:
         self._playing.cache_clear()
         return self.first.q - self._from
 
-    def at(self, phase: Phase, elapsed: int, timing: Timing, last: Target) -> Target:
+    def at(self, phase: Phase, elapsed: int, timing: Timing, last: Setpoint) -> Setpoint:
         """The target `elapsed` ns into a phase.
 
         Args:
@@ -268,10 +268,10 @@ class Targets:
         """The motion time `elapsed` ns into PLAY, s."""
         return self._start + (elapsed if timing.play is None else min(elapsed, timing.play)) / 1e9
 
-    def _sample(self, time: float) -> Target:
-        return self._of_played(Target.from_point(time, self._trajectory.sample(time)))
+    def _sample(self, time: float) -> Setpoint:
+        return self._of_played(Setpoint.from_point(time, self._trajectory.sample(time)))
 
-    def _of_played(self, target: Target) -> Target:
+    def _of_played(self, target: Setpoint) -> Setpoint:
         """The target with joints that are not played at rest in the pose where RAMP starts."""
         played = self._played
         if played is None or self._from is None:
@@ -282,7 +282,7 @@ class Targets:
             ddq=np.where(played, target.ddq, 0.0),
         )
 
-    def _ramping(self, elapsed: int, timing: Timing) -> Target:
+    def _ramping(self, elapsed: int, timing: Timing) -> Setpoint:
         if self._from is None:
             raise RuntimeError("RAMP has no start pose: call begin() first")
         left, length = max(0, timing.ramp + timing.awaited - elapsed) / 1e9, timing.ramp / 1e9
@@ -299,19 +299,19 @@ class Targets:
             ddq=goal.ddq + change / length**2 * distance,
         )
 
-    def _holding(self, elapsed: int, timing: Timing, last: Target) -> Target:
+    def _holding(self, elapsed: int, timing: Timing, last: Setpoint) -> Setpoint:
         end = self._time(timing.play or 0, timing)
         if self.way_down is None or elapsed < timing.hold:
             return _coasting(self._playing(end), *coast(elapsed / 1e9, COAST))
         return self._planned(end)((elapsed - timing.hold) / 1e9, last.q)
 
-    def _plan_way_down(self, time: float) -> Callable[[float, Floats], Target]:
+    def _plan_way_down(self, time: float) -> Callable[[float, Floats], Setpoint]:
         if self.way_down is None:
             raise RuntimeError("there is no way down")
         return self.way_down.plan(self._playing(time).at_rest())
 
 
-def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:
+def _coasting(target: Setpoint, way: float, rate: float, acceleration: float) -> Setpoint:
     """A target displaced along its own velocity by `way` seconds, with its velocity scaled."""
     turn, quat = target.root_ang_vel, target.root_quat_wxyz
     if way and (angle := float(np.linalg.norm(turn))):

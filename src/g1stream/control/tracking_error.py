@@ -12,7 +12,7 @@ from g1stream.types import MAX_GAP_NS, Floats
 
 if TYPE_CHECKING:
     from g1stream.control.reading import Reading
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
 
 __all__ = ["ErrorSums", "RunningError"]
 
@@ -98,7 +98,7 @@ class RunningError:
         self._measured = np.empty((_BLOCK, N_JOINTS))
         self._share = np.empty(_BLOCK)  # of the way between these two references, 0 to 1
 
-    def asked(self, stamp: int, target: Target, *, playing: bool) -> None:
+    def asked(self, stamp: int, target: Setpoint, *, playing: bool) -> None:
         """Add a reference that was published at `stamp`, ns since the epoch."""
         if self._asked and (last := self._asked[-1]).playing:
             gap = stamp - last.stamp

@@ -16,6 +16,8 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.text import listed
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from g1stream.config import Config
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
@@ -43,7 +45,13 @@ class Fit(NamedTuple):
 
 
 def fit_to_robot(
-    motion: Motion, robot: G1, config: Config, *, simulated: bool, commanded: bool = True
+    motion: Motion,
+    robot: G1,
+    config: Config,
+    played: NDArray[np.bool_],
+    *,
+    simulated: bool,
+    limited: bool = True,
 ) -> Fit:
     """The motion in the form in which it may be played with these settings.
 
@@ -55,8 +63,9 @@ def fit_to_robot(
         motion: motion to be played.
         robot: robot with the limits.
         config: the part to play, the rate, the margin and `stream.beyond_limits`.
+        played: (29,) joints that play the motion; the others keep their limits.
         simulated: only a simulator can be reached, so `anyway` is allowed.
-        commanded: the motion's targets are sent; without it there are no limits.
+        limited: the motion's targets are sent, so they must keep the limits.
 
     Raises:
         ConfigError: `anyway` is not allowed here, or the interval is not within the motion.
@@ -70,21 +79,21 @@ def fit_to_robot(
             "there may be a robot.",
             "Use --scale-time or --clamp, or the loopback interface lo.",
         )
-    fit, report = _check(motion, robot, config, 1.0, commanded)
+    fit, report = _check(motion, robot, config, played, limited=limited)
     require_si_units(report)
     for _ in range(_ATTEMPTS * (beyond == "scale-time")):
         if report.frames_beyond or report.within_limits:
             break
         # The whole motion decides, so that each part of it is slowed equally.
-        whole = _of_played(fit.trajectory.motion, robot, config)
+        whole = _of_played(fit.trajectory.motion, robot, played)
         whole_report = check_motion(whole, robot, rate=config.stream.rate)
         fastest = max(
             (report.streamed.speeds[0], whole_report.streamed.speeds[0]),
             key=lambda s: s.value / s.limit,
         )
         factor = ceil(1000.0 * fit.slowed * fastest.value / fastest.limit) / 1000.0
-        fit, report = _check(motion, robot, config, factor, commanded)
-    if commanded and beyond not in ("clamp", "anyway") and not report.within_limits:
+        fit, report = _check(motion, robot, config, played, factor, limited=limited)
+    if limited and beyond not in ("clamp", "anyway") and not report.within_limits:
         raise _refused(report, slowing=beyond == "scale-time")
     return fit
 
@@ -103,7 +112,13 @@ def require_si_units(report: MotionReport) -> None:
 
 
 def _check(
-    motion: Motion, robot: G1, config: Config, slowed: float, commanded: bool
+    motion: Motion,
+    robot: G1,
+    config: Config,
+    played: NDArray[np.bool_],
+    slowed: float = 1.0,
+    *,
+    limited: bool,
 ) -> tuple[Fit, MotionReport]:
     events: list[tuple[int, str]] = []
     if robot.warning:
@@ -117,7 +132,7 @@ def _check(
         events.append((logging.WARNING, text))
     interval = Interval.from_config(config.stream, motion)
     trajectory = Trajectory(motion, loop=config.stream.loop)
-    checked = _of_played(motion, robot, config)
+    checked = _of_played(motion, robot, played)
     report = check_motion(
         checked,
         robot,
@@ -126,14 +141,13 @@ def _check(
         trajectory=trajectory if checked is motion else Trajectory(checked, loop=trajectory.loop),
         interval=interval,
     )
-    if commanded:
+    if limited:
         events += report.streamed.events
     return Fit(trajectory, interval, slowed, tuple(events)), report
 
 
-def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:
+def _of_played(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Motion:
     """The motion for the limit check: joints that do not play stay within their limits."""
-    played = robot.select(config.stream.played_joints)
     if played.all():
         return motion
     middle = (robot.lower + robot.upper) / 2.0

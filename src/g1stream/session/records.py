@@ -10,7 +10,6 @@ from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-import numpy as np
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -21,16 +20,11 @@ from pydantic import (
 )
 
 from g1stream.realtime import Grant
-from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import FeedForwardKind, Phase, StopKind, StreamSupport
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from g1stream.config import Config
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
-    from g1stream.types import Floats
 
 __all__ = [
     "AttachedInfo",
@@ -347,38 +341,6 @@ class SessionInfo(Record):
     policy: PolicyInfo | None = None
     params: ParametersInfo | None = None
     config: dict[str, Any] | None = None
-
-    @classmethod
-    def from_config(
-        cls,
-        config: Config,
-        robot: G1,
-        motion: Motion,
-        gains: Mapping[str, Floats],
-        policy: PolicyInfo | None = None,
-    ) -> SessionInfo:
-        """Describe a motion that is about to be played.
-
-        Args:
-            config: all settings.
-            robot: robot that plays it.
-            motion: the motion.
-            gains: arrays (29,) by the names in `Gains`.
-            policy: policy that plays it.
-        """
-        params = ParametersInfo.from_robot(robot)
-        told: dict[str, Any] = {"policy": policy} if policy else {}
-        told |= {"params": params} if params else {}
-        return cls(
-            **told,
-            motion=MotionInfo.from_motion(motion),
-            gains={name: values.tolist() for name, values in gains.items()},
-            joints=[
-                JOINT_NAMES[i] for i in np.flatnonzero(robot.select(config.stream.played_joints))
-            ],
-            absent=[JOINT_NAMES[i] for i in robot.joint_set.absent],
-            config=config.model_dump(mode="json"),
-        )
 
 
 class Finding(Record):

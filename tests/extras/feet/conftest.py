@@ -1,6 +1,6 @@
 import pytest
 
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.trajectory import Trajectory
@@ -20,4 +20,4 @@ def demo(standing_demo):
 
 @pytest.fixture(scope="session")
 def first(squats):
-    return Target.from_point(0.0, squats.sample(0.0)).at_rest()
+    return Setpoint.from_point(0.0, squats.sample(0.0)).at_rest()

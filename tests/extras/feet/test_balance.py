@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.reading import ImuReading, Reading
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.physics.example_motions import stepping
 from g1stream.extras.physics.stance import stand
@@ -124,10 +124,10 @@ def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():
     turning = stepping([(0.1, 0.05, 0.5)] * 2, period=1.2)
     trajectory = Trajectory(stand(turning, ROBOT).motion)
     balance = Balance(ROBOT, PERIOD)
-    balance.begin(Target.from_point(0.0, trajectory.sample(0.0)).at_rest())
+    balance.begin(Setpoint.from_point(0.0, trajectory.sample(0.0)).at_rest())
     planted = balance._stood.copy()
     for time in np.arange(0.0, trajectory.duration, PERIOD):
-        at = Target.from_point(time, trajectory.sample(time))
+        at = Setpoint.from_point(time, trajectory.sample(time))
         acc = at.root_lin_acc + np.array([0.0, 0.0, 9.81])
         up = quat_rotate_inverse(at.root_quat_wxyz, acc)
         measured = Reading(at.q, at.dq, at.tau, ImuReading(at.root_quat_wxyz, at.root_ang_vel, up))
@@ -185,7 +185,7 @@ def test_forces_stay_within_what_the_floor_can_give(balance, first):
 
 
 def test_a_foot_that_the_reference_lifts_carries_nothing(balance, demo):
-    planted, lifting = (Target.from_point(time, demo.sample(time)) for time in (7.5, 8.67))
+    planted, lifting = (Setpoint.from_point(time, demo.sample(time)) for time in (7.5, 8.67))
     balance.begin(planted)
     balance.torque(lifting, reading(lifting), 0.0)
     left, right = balance.wrench.reshape(2, 6)

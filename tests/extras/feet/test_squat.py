@@ -3,7 +3,7 @@ import pytest
 
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.stop import Stop
-from g1stream.control.targets import Target, Targets, Timing
+from g1stream.control.targets import Setpoint, Targets, Timing
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
 from g1stream.robot.model import G1
@@ -21,7 +21,7 @@ def state_of(target):
 
 @pytest.fixture(scope="module")
 def standing(squats):
-    return Target.from_point(1.0, squats.sample(1.0)).at_rest()
+    return Setpoint.from_point(1.0, squats.sample(1.0)).at_rest()
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_speeds_and_accelerations_are_the_derivatives_of_the_angles(way):
 
 def test_there_is_no_way_down_while_a_foot_is_lifted(demo):
     squat = Squat(ROBOT)
-    possible = [squat.possible(Target.from_point(t, demo.sample(t))) for t in (8.4, 8.7, 9.2)]
+    possible = [squat.possible(Setpoint.from_point(t, demo.sample(t))) for t in (8.4, 8.7, 9.2)]
     assert possible == [True, False, True]
 
 

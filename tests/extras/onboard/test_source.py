@@ -8,7 +8,7 @@ import pytest
 from g1stream.config import load_config
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.onboard.source import CarriedTorques
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
@@ -17,7 +17,7 @@ from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 ROBOT = G1.default()
-TARGET = Target.from_point(1.0, Trajectory(load_motion("demo")).sample(1.0))
+TARGET = Setpoint.from_point(1.0, Trajectory(load_motion("demo")).sample(1.0))
 
 
 def commanded(source, quat, rate, received=0):

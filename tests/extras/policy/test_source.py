@@ -7,7 +7,7 @@ from g1stream.config import load_config
 from g1stream.control.combinations import require_combination
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
@@ -49,7 +49,7 @@ def moving(seconds=2.0, fps=50.0):
 
 @pytest.fixture
 def target():
-    return Target.from_point(0.0, Trajectory(moving()).sample(0.0))
+    return Setpoint.from_point(0.0, Trajectory(moving()).sample(0.0))
 
 
 class Driven:

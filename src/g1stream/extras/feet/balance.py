@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from g1stream.control.reading import Reading
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.feet.base_estimate import BaseEstimate
 from g1stream.extras.feet.standing import BodyState, Movement, StandingDynamics, Terms
 from g1stream.extras.physics.ground import TRUSTED_FRICTION, beyond_hull
@@ -120,7 +120,7 @@ class Balance:
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
         self.worst: dict[str, float] = {}
 
-    def begin(self, first: Target) -> None:
+    def begin(self, first: Setpoint) -> None:
         """Start the reference with a target, on whose soles the robot will stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
         self._restart(first.root_pos, pos + first.root_pos, headings)
@@ -128,7 +128,7 @@ class Balance:
 
     def torque(
         self,
-        target: Target,
+        target: Setpoint,
         measured: Reading,
         age: float,
         *,
@@ -181,7 +181,7 @@ class Balance:
         unsolved = self._lasted["unsolved"] > _UNSOLVED
         return "no forces of the floor keep the robot on its feet" if unsolved else ""
 
-    def watch(self, target: Target) -> None:
+    def watch(self, target: Setpoint) -> None:
         """Detect a fall of a robot without external support."""
         if self.terms is None:
             raise RuntimeError("there is no state yet: call torque() first")
@@ -267,7 +267,7 @@ class Balance:
         self._other = self._other + (other - self._other) * rate
 
     def _wanted(
-        self, target: Target, reference: Movement, state: BodyState, terms: Terms
+        self, target: Setpoint, reference: Movement, state: BodyState, terms: Terms
     ) -> tuple[Floats, Floats]:
         """The desired contact force, N, world, and angular acceleration of the pelvis.
 
@@ -360,5 +360,5 @@ def _cone(sole: Floats) -> tuple[Floats, Floats]:
     return rows, least
 
 
-def _state_of(target: Target) -> BodyState:
+def _state_of(target: Setpoint) -> BodyState:
     return BodyState(target.root_quat_wxyz, target.root_ang_vel, target.q, target.dq)

@@ -20,7 +20,7 @@ from g1stream.control.sources import (
     Status,
     Traits,
 )
-from g1stream.control.targets import LOWERED, Target
+from g1stream.control.targets import LOWERED, Setpoint
 from g1stream.errors import ConfigError
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.feet.squat import Squat
@@ -104,7 +104,7 @@ class StandingTorques(Source):
         changed = replace(standing.motion, operations=(*motion.operations, how))
         return changed, f"{motion.name} is played {how}"
 
-    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), so it does not stand on its feet.",
@@ -117,7 +117,7 @@ class StandingTorques(Source):
         self.balance.begin(first)
         return mode._replace(robot=name)
 
-    def command(self, moment: Moment) -> Target:
+    def command(self, moment: Moment) -> Setpoint:
         phase, ramped, target, measured, age, *_ = moment
         if moment.fault:
             return target
@@ -147,7 +147,7 @@ class StandingTorques(Source):
         )
 
 
-def _levelled(target: Target, imu: ImuReading) -> Floats:
+def _levelled(target: Setpoint, imu: ImuReading) -> Floats:
     """Ankle angles (29,), rad, with which a tilted robot lands on flat soles.
 
     The tilt against the target is that between the directions of gravity in the pelvis frame.

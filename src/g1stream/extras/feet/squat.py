@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from g1stream.control.targets import Target
+from g1stream.control.targets import Setpoint
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
@@ -38,12 +38,12 @@ class Squat:
         squatting = BodyState(upright, np.zeros(3), bent_legs(_BENT), np.zeros(N_JOINTS))
         self._height = -float(self._dynamics.soles(squatting)[0][:, 2].mean())
 
-    def possible(self, target: Target) -> bool:
+    def possible(self, target: Setpoint) -> bool:
         """Whether both feet stand in a target."""
         heights = self._dynamics.soles(_state_at_rest(target))[0][:, 2]
         return float(np.ptp(heights)) < OFF_FLOOR
 
-    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+    def plan(self, standing: Setpoint) -> Callable[[float, Floats], Setpoint]:
         """The movement from a target at rest, by the time since its start, s, and nearby joints."""
         dynamics, still, length = self._dynamics, np.zeros(3), self.length
         state = _state_at_rest(standing)
@@ -59,7 +59,7 @@ class Squat:
             goal[:2] += (middle - centre)[:2]
         start, way = _state_at_rest(standing), goal - standing.root_pos
 
-        def target(elapsed: float, near: Floats) -> Target:
+        def target(elapsed: float, near: Floats) -> Setpoint:
             progress, rate, change = minimum_jerk(elapsed / length)
             pos = standing.root_pos + progress * way
             vel, acc = rate / length * way, change / length**2 * way
@@ -71,5 +71,5 @@ class Squat:
         return target
 
 
-def _state_at_rest(target: Target) -> BodyState:
+def _state_at_rest(target: Setpoint) -> BodyState:
     return BodyState(target.root_quat_wxyz, np.zeros(3), target.q, np.zeros(N_JOINTS))

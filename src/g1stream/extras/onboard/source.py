@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from g1stream.control.sources import HeldTorques, Mode
 
 if TYPE_CHECKING:
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
 
 __all__ = ["CarriedTorques"]
 
@@ -18,7 +18,7 @@ _LOGGER = logging.getLogger(__name__)
 class CarriedTorques(HeldTorques):
     """Torques for a pelvis at rest in the attitude that the IMU measures, whatever the legs do."""
 
-    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         kind = self._kind or ("dynamics" if announced else "velocity")
         if kind == "dynamics":
             name = self.hold("bolted", robot)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
-    from g1stream.control.targets import Target
+    from g1stream.control.targets import Setpoint
     from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
     from g1stream.types import Floats
@@ -147,7 +147,7 @@ class PolicyTargets(Source):
             text += "; the velocity of the pelvis is estimated by leg odometry"
         return changed, text
 
-    def begin(self, first: Target, announced: str | None, robot: str | None) -> Mode:
+    def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
@@ -165,7 +165,7 @@ class PolicyTargets(Source):
         carried = self._share > _CARRIED[0]
         self._carried_for = self._carried_for + _LOAD_PERIOD if carried else 0.0
 
-    def command(self, moment: Moment) -> Target:
+    def command(self, moment: Moment) -> Setpoint:
         target = moment.target
         self._new = False
         if moment.fault:
@@ -184,7 +184,7 @@ class PolicyTargets(Source):
         self._watch(moment)
         return self._held(target)
 
-    def _held(self, target: Target) -> Target:
+    def _held(self, target: Setpoint) -> Setpoint:
         if self._target is None:
             return target
         nothing = np.zeros(len(self._target))
@@ -246,7 +246,7 @@ class PolicyTargets(Source):
             anchor=anchor_poses(self.contract, self._robot, state.joint_pos[None], *pose)[0],
         )
 
-    def _reference(self, target: Target) -> ReferenceFrame:
+    def _reference(self, target: Setpoint) -> ReferenceFrame:
         pose = target.root_pos, target.root_quat_wxyz
         return frame_of(self.contract, self._robot, target.q, target.dq, *pose)
 
@@ -265,11 +265,11 @@ class BackToStanding:
         self.length = _BLEND + seconds
         self._pose, self._height = still.joint_pos[0], float(still.root_pos[0, 2])
 
-    def possible(self, target: Target) -> bool:
+    def possible(self, target: Setpoint) -> bool:
         """Always true, because a policy can stand from any pose."""
         return True
 
-    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+    def plan(self, standing: Setpoint) -> Callable[[float, Floats], Setpoint]:
         """The way from a target at rest, by the time since its start, s, and joints."""
         way = self._pose - standing.q
         rise = np.array([0.0, 0.0, self._height - standing.root_pos[2]])
@@ -280,7 +280,7 @@ class BackToStanding:
         angle = 2.0 * math.atan2(sine, float(turn[0]))
         axis = turn[1:] / sine if sine else _UP
 
-        def target(elapsed: float, near: Floats) -> Target:
+        def target(elapsed: float, near: Floats) -> Setpoint:
             progress, rate, change = minimum_jerk(min(1.0, elapsed / _BLEND))
             turned = quat_from_axis_angle(axis, np.asarray(progress * angle))
             return standing._replace(

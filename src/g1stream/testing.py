@@ -105,7 +105,7 @@ class FakeLink:
 
     Attributes:
         sent: the commands of the loop.
-        told: steps of a policy: data, publish time.
+        steps: steps of a policy: data, publish time.
         robot: the robot's LowState, which the loop receives at every tick. It stands upright. Its
             accelerometer has noise, because a LowState that never changes counts as frozen.
         silent: the robot publishes only with `publish_state`.
@@ -120,7 +120,7 @@ class FakeLink:
 
     def __init__(self, clock: FakeClock) -> None:
         self.sent: list[Sent] = []
-        self.told: list[tuple[bytes, int]] = []
+        self.steps: list[tuple[bytes, int]] = []
         self.robot = LowState()
         self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
         self.robot.mode_machine[()] = MODE_MACHINE_29
@@ -164,8 +164,8 @@ class FakeLink:
         self.on_send(len(self.sent) - 1)
         return self._clock.now()
 
-    def tell(self, data: bytes, stamp: int) -> None:
-        self.told.append((data, stamp))
+    def send_step(self, data: bytes, stamp: int) -> None:
+        self.steps.append((data, stamp))
 
     def unready(self) -> str:
         return self.waits_for

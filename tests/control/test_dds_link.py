@@ -124,7 +124,7 @@ def test_what_a_source_tells_is_published_with_the_time_of_the_command(domain_id
         link, reader = DdsLink(ours, None, MOTORS, steps=True), RawReader(theirs, POLICY, depth=10)
         until(lambda: reader.matched, "a match")
         for i, step in enumerate(steps):
-            link.tell(step.tobytes(), 1000 + i // 2)
+            link.send_step(step.tobytes(), 1000 + i // 2)
         arrived = []
         until(lambda: arrived.extend(reader.take()) or len(arrived) == 3, "all steps")
     assert [one.data for one in arrived] == [step.tobytes() for step in steps]

@@ -27,11 +27,11 @@ class Policy(Source):
         super().__init__(config, robot, simulated=simulated)
         assert (config.stream.support, simulated) == ("feet", True)
         self.computed, self.seen, self.ticks = [], [], []
-        self._until, self._q, self._told = 0, None, b""
+        self._until, self._q, self._step = 0, None, b""
 
     @property
     def status(self):
-        return Status(told=self._told)
+        return Status(step=self._step)
 
     def prepare(self, motion):
         if motion.fps > 50.0:
@@ -40,7 +40,7 @@ class Policy(Source):
 
     def command(self, moment):
         self.seen.append(moment.phase)
-        self._told = moment.tick.to_bytes(4, "little")
+        self._step = moment.tick.to_bytes(4, "little")
         self.ticks.append(moment.tick)
         if moment.measured.received >= self._until:
             self._until = moment.measured.received + 20_000_000
@@ -93,9 +93,9 @@ def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
     report = make_loop(planned, link, clock, settle=0).run()
     assert (report.skipped, refused) == (32, [100, 150])
     beside = {sent.stamp: int(sent.reference.tick) for sent in link.sent}
-    ticks = [int.from_bytes(data, "little") for data, _ in link.told]
+    ticks = [int.from_bytes(data, "little") for data, _ in link.steps]
     assert ticks == planned.source.ticks
-    assert ticks == [beside.get(stamp) for _, stamp in link.told]
+    assert ticks == [beside.get(stamp) for _, stamp in link.steps]
     assert len({*ticks}) == len(ticks) - 32 - 2
 
 

@@ -159,7 +159,7 @@ class Prepared(NamedTuple):
         target: the target before feed-forward and limits.
         due: publish time, ns.
         measured: the newest LowState; None before the first.
-        told: messages of the source about this command and those that it replaces.
+        steps: messages of the source about this command and those that it replaces.
     """
 
     command: bytes
@@ -167,7 +167,7 @@ class Prepared(NamedTuple):
     target: Setpoint
     due: int
     measured: Reading | None
-    told: tuple[bytes, ...] = ()
+    steps: tuple[bytes, ...] = ()
 
 
 class NextCommand:
@@ -205,7 +205,7 @@ class NextCommand:
         self._soft_start = soft_start
         self._soft_until: int | None = None
         self._clock = clock
-        self._told: tuple[bytes, ...] = ()
+        self._steps: tuple[bytes, ...] = ()
         self._sent = 0
         self._sent_for: int | None = None
 
@@ -259,8 +259,8 @@ class NextCommand:
             )
             commanded = feedforward.command(moment)
             # The message of a command that is replaced before it is sent goes with the next one.
-            if told := feedforward.status.told:
-                self._told = (*self._told, told)
+            if step := feedforward.status.step:
+                self._steps = (*self._steps, step)
         self.compose(due, commanded, deadline, measured)
 
     def compose(
@@ -278,12 +278,12 @@ class NextCommand:
             measured=measured,
             age=(deadline - measured.received) / 1e9 if measured else 0.0,
         )
-        self.prepared = Prepared(command, reference, due, deadline, measured, self._told)
+        self.prepared = Prepared(command, reference, due, deadline, measured, self._steps)
 
     def sent(self) -> None:
         """Note that the newest command has been sent."""
         self.composer.limits.sent()
         self._sent += 1
-        self._told = ()
+        self._steps = ()
         if self.prepared:
             self._sent_for = self.prepared.due

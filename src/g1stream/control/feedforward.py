@@ -83,7 +83,7 @@ class FeedForward:
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
         self._source = source
-        self._told_preview = preview
+        self._set_preview = preview
         self._delay, self._torque_scale = delay, torque_scale
         self._limit = limit
         self._period = period
@@ -104,7 +104,7 @@ class FeedForward:
         # half a period after its arrival, and holds it for a period. unitree_mujoco's bridges run
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
-        self.preview = usual if self._told_preview is None else self._told_preview
+        self.preview = usual if self._set_preview is None else self._set_preview
         if self._source.traits.observes:  # the target must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
         self.mode = self._source.begin(first, announced, robot)

@@ -58,7 +58,7 @@ class Link(Protocol):
             When the LowCmd was written, ns of CLOCK_MONOTONIC; 0 if the write failed.
         """
 
-    def tell(self, data: bytes, stamp: int) -> None:
+    def send_step(self, data: bytes, stamp: int) -> None:
         """Publish a step of a policy, with the publish time of the last LowCmd."""
 
     def unready(self) -> str:
@@ -178,7 +178,7 @@ class DdsLink:
         self._references.write(reference, stamp)
         return written
 
-    def tell(self, data: bytes, stamp: int) -> None:
+    def send_step(self, data: bytes, stamp: int) -> None:
         if self._steps:
             self._steps.write(data, stamp)
 

@@ -43,7 +43,7 @@ __all__ = ["StreamLoop", "make_loop"]
 _LOGGER = logging.getLogger(__name__)
 
 #: Time of the first log message about what WAIT waits for, and interval of the next ones, ns.
-_TOLD, _TOLD_AGAIN = 1_000_000_000, 3_000_000_000
+_FIRST_WAIT_LOG, _WAIT_LOG_INTERVAL = 1_000_000_000, 3_000_000_000
 #: Maximum motion time between two commands, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 
@@ -97,7 +97,7 @@ class StreamLoop:
         self._others = OtherPublishers(
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
-        self._where, self._next_told = where, _TOLD
+        self._where, self._next_wait_log = where, _FIRST_WAIT_LOG
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
@@ -239,8 +239,8 @@ class StreamLoop:
         written = self._link.send(prepared.command, prepared.reference, stamp)
         if not written:
             return
-        for data in prepared.told:
-            self._link.tell(data, stamp)
+        for data in prepared.steps:
+            self._link.send_step(data, stamp)
         report = self.report
         self.damped = self.state.phase is Phase.DAMP
         report.lateness.add(written - deadline)
@@ -278,8 +278,8 @@ class StreamLoop:
         unknown = self._robot_unknown(now)
         if state.phase is Phase.WAIT:
             missing = unknown or self._checks.missing or self._link.unready()
-            if missing and state.elapsed(now) >= self._next_told:
-                self._next_told = state.elapsed(now) + _TOLD_AGAIN
+            if missing and state.elapsed(now) >= self._next_wait_log:
+                self._next_wait_log = state.elapsed(now) + _WAIT_LOG_INTERVAL
                 longest = self._schedule.timing.wait / 1e9
                 _LOGGER.info("WAIT, up to %g s, in %s: %s", longest, self._where, missing)
         stop = self._reason_to_stop(now, unknown)

@@ -80,14 +80,17 @@ class Plan:
 
     def session_info(self) -> SessionInfo:
         """The metadata of a session file before its first sample."""
-        told = {"policy": self.source.traits.about, "params": ParametersInfo.from_robot(self.robot)}
+        about = {
+            "policy": self.source.traits.about,
+            "params": ParametersInfo.from_robot(self.robot),
+        }
         return SessionInfo(
             motion=MotionInfo.from_motion(self.motion),
             gains={name: values.tolist() for name, values in self.gains._asdict().items()},
             joints=[JOINT_NAMES[i] for i in np.flatnonzero(self.played)],
             absent=[JOINT_NAMES[i] for i in self.robot.joint_set.absent],
             config=self.config.model_dump(mode="json"),
-            **{name: value for name, value in told.items() if value},
+            **{name: value for name, value in about.items() if value},
         )
 
     def log_events(self) -> None:

@@ -30,7 +30,7 @@ __all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 _LOGGER = logging.getLogger(__name__)
 
 #: Interval between log messages about what RAMP waits for, ns.
-_TOLD_AGAIN: Final = 3_000_000_000
+_LOG_INTERVAL: Final = 3_000_000_000
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
 
@@ -122,7 +122,7 @@ class Schedule:
         self.targets, self.timing = targets, timing
         self._period = period
         self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
-        self._told = -_TOLD_AGAIN  # time in RAMP of the last log message about waiting
+        self._logged = -_LOG_INTERVAL  # time in RAMP of the last log message about waiting
         self.state = PhaseState(Phase.WAIT, 0)
         self.delayed = 0
         self.ramp: Ramp | None = None
@@ -142,7 +142,7 @@ class Schedule:
         distance = self.targets.begin(q)
         self.ramp = Ramp.for_distance(distance, self._least_ramp, self._ramp_speed)
         self.timing = replace(self.timing, ramp=self.ramp.length, awaited=0)
-        self._told = -_TOLD_AGAIN
+        self._logged = -_LOG_INTERVAL
 
     def wait_in_ramp(self, now: int, awaited: str) -> None:
         """Extend RAMP at the first frame while it waits for `awaited`; "" ends the waiting."""
@@ -150,8 +150,8 @@ class Schedule:
         longer = elapsed + self._period + COAST_NS - self.timing.ramp
         if not awaited or self.state.stop or longer <= self.timing.awaited:
             return
-        if elapsed >= self._told + _TOLD_AGAIN:
-            self._told = elapsed
+        if elapsed >= self._logged + _LOG_INTERVAL:
+            self._logged = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
         self.timing = replace(self.timing, awaited=longer)
 

@@ -113,7 +113,7 @@ class Status(NamedTuple):
         fault: why the torque is wrong and has to fade out, or "".
         awaited: the event that RAMP waits for; "" if it need not wait.
         stands: the robot is already on its feet in RAMP, so that it can go down from there.
-        told: the newest step of a policy, as it is published with the command; b"" without a step.
+        step: the newest step of a policy, as it is published with the command; b"" without a step.
         margins: fields of `BalanceSummary`; empty for a robot that is held.
     """
 
@@ -121,7 +121,7 @@ class Status(NamedTuple):
     fault: str = ""
     awaited: str = ""
     stands: bool = False
-    told: bytes = b""
+    step: bytes = b""
     margins: Mapping[str, float] = MappingProxyType({})
 
 

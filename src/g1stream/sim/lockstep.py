@@ -99,7 +99,7 @@ class Lockstep:
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
 
-    def tell(self, data: bytes, stamp: int) -> None:
+    def send_step(self, data: bytes, stamp: int) -> None:
         self._on_sample(POLICY, data, stamp)
 
     def unready(self) -> str:

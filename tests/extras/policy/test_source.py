@@ -76,7 +76,7 @@ class Driven:
         told = 0
         for _ in range(n):
             self.command(**about)
-            told += bool(self.source.status.told)
+            told += bool(self.source.status.step)
         return told
 
 
@@ -128,7 +128,7 @@ def test_a_history_has_the_oldest_step_first(policy, target, start, before):
     for speed in (1.0, 2.0, 3.0, 4.0):
         it.gyroscope = np.full(3, speed)
         assert it.steps(10) == 1
-        told = it.source._told
+        told = it.source._newest
         assert told.n_observation[()] == 154 + 2 * 3 + 29
         seen.append(told.observation[64:73].reshape(3, 3)[:, 0].tolist())
         np.testing.assert_array_equal(told.observation[160:189], acted)

@@ -114,7 +114,7 @@ class PolicyTargets(Source):
         self._steps = self._repeated = self._late = 0
         self._observed: Reading | None = None
         self._fall = ""
-        self._told, self._new = PolicyStep(), False
+        self._newest, self._new = PolicyStep(), False
 
     @property
     def status(self) -> Status:
@@ -124,8 +124,8 @@ class PolicyTargets(Source):
                 f"the feet carry {100.0 * max(0.0, self._share):.0f} % of the weight; lower the "
                 f"robot until they carry {100.0 * _CARRIED[0]:.0f} %, and release it when it stands"
             )
-        told = self._told.tobytes() if self._new else b""
-        return Status(self._fall, awaited=awaited, told=told)
+        step = self._newest.tobytes() if self._new else b""
+        return Status(self._fall, awaited=awaited, step=step)
 
     @property
     def _waits(self) -> bool:
@@ -205,16 +205,16 @@ class PolicyTargets(Source):
             late = f"take longer than {1e3 * self._step_time:g} ms, the last one {1e3 * took:.0f}"
             problem = late if self._late > _REPEATED else "are not finite"
             self._fall = f"{_REPEATED + 1} actions in a row {problem}"
-        told = self._told
-        told.inference_time[()] = took
-        told.tick[()], told.step[()] = moment.tick, self._steps
-        told.state_published[()], told.state_received[()] = measured.stamps
-        told.motion_time[()] = moment.target.motion_time
-        told.state_age[()] = (begun - measured.received) / 1e9
-        told.n_observation[()] = len(observation)
-        told.observation[: len(observation)] = observation
-        told.action[self._order] = action
-        told.repeated[()] = self._repeated
+        step = self._newest
+        step.inference_time[()] = took
+        step.tick[()], step.step[()] = moment.tick, self._steps
+        step.state_published[()], step.state_received[()] = measured.stamps
+        step.motion_time[()] = moment.target.motion_time
+        step.state_age[()] = (begun - measured.received) / 1e9
+        step.n_observation[()] = len(observation)
+        step.observation[: len(observation)] = observation
+        step.action[self._order] = action
+        step.repeated[()] = self._repeated
         self._new = True
         self._steps += 1
         self._target = np.empty(len(self._order))

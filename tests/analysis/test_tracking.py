@@ -5,7 +5,7 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.interpolate import make_interp_spline
 from scipy.special import stdtrit
 
-from g1stream.analysis.tracking import _t_975, compare
+from g1stream.analysis.tracking import Delays, _t_975, compare
 from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
@@ -52,6 +52,40 @@ def test_a_smaller_answer_is_not_a_delay(play, change):
     assert tracking.delay.seconds == pytest.approx(0.03, abs=1e-4)
     reference_rms = np.sqrt(np.mean(np.square(compare(reference, measured).reference), axis=0))
     np.testing.assert_allclose(tracking.delay.rmse, 0.3 * reference_rms, atol=3e-4)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("rate", [25, 50, 100, 200])
+def test_held_targets_are_late_by_the_mean_over_their_steps(rate, phase):
+    late_by, found = delay_of_steps(rate, phase / rate)
+    assert found.seconds == pytest.approx(late_by, abs=5e-5)
+    assert found.ci95 < 1e-4
+
+
+@pytest.mark.parametrize("made_every", [0.005, 0.02])
+def test_states_that_are_sent_more_often_than_made_are_late_by_their_mean_age(made_every):
+    late_by, found = delay_of_steps(500, 0.0, made_every=made_every)
+    assert found.seconds == pytest.approx(late_by, abs=5e-5)
+
+
+def test_a_long_run_is_not_compared_in_step_with_a_policy():
+    late_by, found = delay_of_steps(50, 0.006, length=310.0)
+    assert abs(found.seconds - late_by) < found.ci95 < 2e-4
+
+
+def delay_of_steps(rate, phase, *, length=20.0, made_every=None):
+    """The mean delay of a robot that holds each target, 8 ms after it was sent; and ours."""
+
+    def motion(seconds):
+        frequency = np.array([0.31, 0.47, 0.83, 1.27, 1.9])
+        return 0.4 * np.sin(2 * np.pi * frequency * seconds[:, None] + np.arange(5))
+
+    times = np.arange(0.0, length + 1.0, 0.002)
+    states = np.arange(0.5, length + 0.7, 0.002) + 0.0004
+    made = np.floor(states / made_every) * made_every if made_every else states
+    step = np.floor((made - 0.008 - phase) * rate) / rate + phase
+    found = Delays(times, motion(times), states, motion(step)).of([0, 1, 2, 3, 4])
+    return np.mean(states - step), found
 
 
 def test_where_the_largest_error_is(play, change):

@@ -9,7 +9,9 @@ The delay is found by cross-correlation of joint positions. For each joint and e
 grid, the measured position is correlated with the delayed reference. The result is the delay
 with the least unexplained variance, interpolated by a parabola through it and its neighbours.
 Scale and mean of a joint do not matter: a joint that moves less than commanded, or sags, is not
-late.
+late. Targets of a slow policy are held, so the delay grows within each of its steps. The result
+is the mean over these steps, because states are compared at their own times; of many states, a
+random one of each interval, which is not in step with anything.
 
 The confidence interval is that of least squares with correlated residuals. Each second counts as
 one observation, so that a lasting disturbance does not count many times (K.-Y. Liang and S. Zeger,
@@ -19,7 +21,7 @@ one observation, so that a lasting disturbance does not count many times (K.-Y. 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -72,9 +74,8 @@ _BLOCK: Final = 2048
 #: Range of the grid of delays, in steps: -0.02 to 0.2 s. Positive: the robot is behind.
 _STEP: Final = 0.005
 _LAGS: Final = np.arange(-4, 41)
-#: Every second step is compared, or fewer so that there are at most this many.
-_STRIDE: Final = 2
-_MOST_TIMES: Final = 20_000
+#: Most states that are compared, and that are compared at every delay of the grid.
+_MOST_STATES, _MOST_ON_GRID = 20_000, 2_000
 #: A joint is used if reference and measurement both span more than this, rad.
 _MOVES: Final = 0.05
 #: Length of an observation, s, and the least number for a confidence interval.
@@ -462,45 +463,43 @@ class Delays:
         *,
         known: bool = True,
     ) -> None:
+        self._times, self._q = times, q
         self._moving = np.zeros(q.shape[1], dtype=bool)
-        if not known:
+        # Around each of these states there is a reference for every delay.
+        reach = times[0] + _LAGS[-1] * _STEP, times[-1] + _LAGS[0] * _STEP
+        first, last = np.searchsorted(state_times, reach).tolist()
+        if not known or first >= last:
             return
-        first = max(state_times[0], times[0] + _LAGS[-1] * _STEP)
-        last = min(state_times[-1], times[-1] + _LAGS[0] * _STEP)
-        steps = int((last - first) / _STEP + 1e-9)  # negative if the recording is too short
-        at = first + _STEP * np.arange(0, steps + 1, max(_STRIDE, -(-steps // _MOST_TIMES)))
-        after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
-        self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= MAX_GAP_NS / 1e9]
-        self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
-        if not len(self._at):
-            return
-        # The reference's grid begins earlier, so that there is a row for each delay.
-        grid = first + _STEP * np.arange(-_LAGS[-1], steps + 1 - _LAGS[0])
-        self._q = interpolated(grid, times, q)
-        self._measured = interpolated(self._at, state_times, measured)
-        middle = self._q.mean(axis=0)  # subtracted to keep the precision of sums of squares
-        self._q -= middle
-        self._measured -= middle
+        rows = first + _spread(last - first, _MOST_STATES)
+        self._at, self._measured = state_times[rows], measured[rows].astype(np.float64)
+        self._middle = self._measured.mean(axis=0)
+        self._measured -= self._middle
         self._total = self._measured.var(axis=0)
-        self._mean = self._measured.mean(axis=0)
-        self._moving = np.minimum(np.ptp(self._q, axis=0), np.ptp(self._measured, axis=0)) > _MOVES
-        every = list(range(q.shape[1]))
-        self._unexplained = np.array([self._regress(lag, every)[1] for lag in _LAGS.tolist()])
+        self._every = list(range(q.shape[1]))
+        moved = np.ptp(self._reference(0.0, self._every), axis=0), np.ptp(self._measured, axis=0)
+        self._moving = np.minimum(*moved) > _MOVES
+        few = _spread(len(rows), _MOST_ON_GRID)
+        self._grid = np.array([self._regress(lag, self._every, few)[1] for lag in _LAGS.tolist()])
+        self._unexplained = cache(lambda lag: self._regress(float(_LAGS[lag]), self._every)[1])
 
     def of(self, joints: Sequence[int]) -> Delay | None:
         """The delay of some joints together; None if none moves or no delay fits best."""
         moving = [joint for joint in joints if self._moving[joint]]
         if not moving:
             return None
-        costs = self._unexplained[:, moving].sum(axis=1)
-        best = int(costs.argmin())
-        if not 0 < best < len(costs) - 1:
-            return None
-        left, middle, right = costs[best - 1 : best + 2]
+        best, downhill = int(self._grid[:, moving].sum(axis=1).argmin()), -1
+        while downhill:  # a few states suffice to come near
+            if not 0 < best < len(_LAGS) - 1:
+                return None
+            costs = [self._unexplained(best + side)[moving].sum() for side in (-1, 0, 1)]
+            downhill = int(np.argmin(costs)) - 1
+            best += downhill
+        left, middle, right = costs
         curvature = left - 2.0 * middle + right
         fraction = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         shift = float(_LAGS[best] + fraction)
-        error = self._reference(shift, list(joints)) - self._measured[:, list(joints)]
+        chosen = list(joints)
+        error = self._reference(shift, chosen) - (self._measured + self._middle)[:, chosen]
         explained = 1.0 - middle / self._total[moving].sum()
         return Delay(
             seconds=shift * _STEP,
@@ -510,23 +509,30 @@ class Delays:
             std=error.std(axis=0),
         )
 
-    def _reference(self, shift: float, joints: list[int]) -> Floats:
-        """(T, J) reference of some joints, `shift` steps before each time."""
-        whole = int(np.floor(shift))
-        rows, weight = self._rows + _LAGS[-1] - whole, shift - whole
-        columns = self._q if len(joints) == self._q.shape[1] else self._q[:, joints]
-        q: Floats = columns[rows]
-        return q + weight * (columns[rows - 1] - q) if weight else q
+    def _reference(
+        self, shift: float, joints: list[int], rows: NDArray[np.intp] | slice = slice(None)
+    ) -> Floats:
+        """(T, J) reference of some joints, `shift` steps before the compared states, or some."""
+        at = self._at[rows] - shift * _STEP
+        after = np.searchsorted(self._times, at).clip(1, len(self._times) - 1)
+        earlier, later = self._times[after - 1], self._times[after]
+        weight = (at - earlier) / np.maximum(later - earlier, np.finfo(float).tiny)
+        q: Floats = self._q[np.ix_(after - 1, joints)].astype(np.float64, copy=False)
+        q += weight[:, np.newaxis] * (self._q[np.ix_(after, joints)] - q)
+        return q
 
-    def _regress(self, shift: float, joints: list[int]) -> tuple[Floats, Floats]:
+    def _regress(
+        self, shift: float, joints: list[int], rows: NDArray[np.intp] | slice = slice(None)
+    ) -> tuple[Floats, Floats]:
         """(J,) for some joints: the factor of the reference, and the unexplained variance."""
-        q, mean = self._reference(shift, joints), self._mean[joints]
-        measured = self._measured if len(joints) == len(self._mean) else self._measured[:, joints]
-        of_q = q.mean(axis=0)
-        variance = np.einsum("tj,tj->j", q, q) / len(q) - np.square(of_q)
-        covariance = np.einsum("tj,tj->j", q, measured) / len(q) - of_q * mean
+        q = self._reference(shift, joints, rows)
+        q -= q.mean(axis=0)
+        measured = self._measured[rows][:, joints]
+        variance = np.einsum("tj,tj->j", q, q)
+        covariance = np.einsum("tj,tj->j", q, measured)
         factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
-        unexplained: Floats = self._total[joints] - factor * covariance
+        total = np.square(measured).sum(axis=0)
+        unexplained: Floats = (total - factor * covariance) / len(q)
         return factor, unexplained
 
     def _ci95(self, shift: float, joints: list[int]) -> float | None:
@@ -544,6 +550,14 @@ class Delays:
         information = np.square(slope).sum()
         spread = np.sqrt(np.square(scores).sum() * len(starts) / (len(starts) - 1.0))
         return float(_t_975(len(starts) - 1) * spread / information)
+
+
+def _spread(n: int, most: int) -> NDArray[np.intp]:
+    """Indices of n values, or a random one of each of `most` intervals; the same at each call."""
+    if n <= most:
+        return np.arange(n)
+    random = np.random.default_rng(0).random(most)
+    return ((np.arange(most) + random) * n / most).astype(np.intp)
 
 
 def _t_975(freedom: int) -> float:

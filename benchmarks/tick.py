@@ -46,11 +46,13 @@ PAUSE = 0.002
 def parts() -> dict[str, Callable[[int], object]]:
     """Name -> one part of tick k."""
     robot, config = G1.default(), Config()
-    targets = Targets(Trajectory(load_motion("demo")), start=0.0)
+    targets = Targets(Trajectory(load_motion("demo")), start=0.0, moved=robot.present)
     timing = Timing(wait=0, ramp=10**9, play=None, hold=0, damp=0)
-    checks = LowStateChecks(robot, config.safety, config.constants)
+    checks = LowStateChecks(robot, robot.present, config.safety, config.constants)
     limits, limit = CommandLimits(robot, config.safety), np.full(29, 100.0)
-    composer = Composer(limits, resolve_gains(config.gains), Receiver(TICK, 0.5))
+    composer = Composer(
+        limits, resolve_gains(config.gains), Receiver(TICK, 0.5), robot.present, robot.present
+    )
     imu = ImuReading(*(np.array(one) for one in ([1.0, 0, 0, 0], [0.0] * 3, [0.0, 0.0, 9.81])))
     target = targets.at(Phase.PLAY, 0, timing, targets.first)
     at_target = LowState()

@@ -22,7 +22,7 @@ from g1stream.config import (
     settings,
 )
 from g1stream.control.gains import read_gains
-from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.control.lowstate import LONGEST_INTERVAL
 from g1stream.errors import ConfigError
 from g1stream.profiles import PROFILES
 from g1stream.robot.parameters import load_parameters
@@ -282,7 +282,7 @@ def test_robot_toml_is_more_careful_than_the_defaults():
     assert robot.stream.ramp > default.stream.ramp
     assert robot.stream.damp > default.stream.damp
     assert robot.safety.position_margin > default.safety.position_margin
-    assert robot.safety.state_timeout == STATE_TIMEOUT
+    assert robot.safety.state_timeout == LONGEST_INTERVAL
     assert default.safety.state_timeout == 0.5
     assert robot.safety.tilt_limit("hanging") < default.safety.tilt_limit("free")
     assert robot.safety.max_joint_speed < default.safety.max_joint_speed

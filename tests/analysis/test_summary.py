@@ -233,6 +233,12 @@ def test_where_the_motion_was_to_begin(play, summarise, start):
     assert summary.termination.start_s == (2.5 if start == 2.5 else 0.0)
 
 
+def test_a_policy_plays_a_motion_that_was_cut_at_its_start(play, summarise):
+    stream = {"start": 2.5, "policy": "dance.onnx"}
+    metadata = METADATA | {"config": {"stream": stream}}
+    assert summarise(metadata=metadata, streams=play(phases=SHORT)).termination.start_s == 0.0
+
+
 def test_warnings_that_differ_in_numbers_only_are_one_problem(play, write_session):
     session = open_session(write_session(*play(phases=SHORT), without("stream")))
     events = [("WARNING", "7 late"), ("WARNING", "9 late"), ("ERROR", "the end")]

@@ -103,12 +103,12 @@ def played():
     report.lateness.add(250_000)
     report.lateness.add(60_000)
     report.skipped = 1
-    received = time.monotonic_ns() - 7_000_000
+    arrived = time.monotonic_ns() - 7_000_000
     q = np.full(29, 0.2, np.float32)
     q[:6] -= 0.04
-    measured = SimpleNamespace(q=q, received=received)
+    measured = SimpleNamespace(q=q, arrived=arrived)
     target = SimpleNamespace(q=np.full(29, 0.203), dq=np.ones(29))
-    newest = Prepared(b"", b"", target, received + 3_000_000, measured)
+    newest = Prepared(b"", b"", target, arrived + 3_000_000, measured)
     return SimpleNamespace(
         state=PhaseState(Phase.PLAY, 0), motion_time=6.0, report=report, newest=newest
     )

@@ -12,7 +12,7 @@ from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
-from g1stream.control.lowstate import STATE_TIMEOUT, LowStateChecks
+from g1stream.control.lowstate import LONGEST_INTERVAL, LowStateChecks
 from g1stream.control.receiver import Receiver
 from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
@@ -159,8 +159,8 @@ def make_loop(clock, link, trajectory, robot, timing):
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
     def make(safety=None, targets=None, timing=timing, constants=PROFILES["simulator"], **other):
-        safety = safety or SafetyConfig(state_timeout=STATE_TIMEOUT)
-        targets = targets or Targets(trajectory, start=0.0)
+        safety = safety or SafetyConfig(state_timeout=LONGEST_INTERVAL)
+        targets = targets or Targets(trajectory, start=0.0, moved=robot.present)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         schedule = Schedule(targets, timing, 2 * MS)
@@ -169,7 +169,13 @@ def make_loop(clock, link, trajectory, robot, timing):
         plain = FeedForward(source, limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
-            Composer(CommandLimits(robot, safety), gains, Receiver(2 * MS, 0.2)),
+            Composer(
+                CommandLimits(robot, safety),
+                gains,
+                Receiver(2 * MS, 0.2),
+                robot.present,
+                robot.present,
+            ),
             other.pop("feedforward", plain),
             period=2 * MS,
             soft_start=other.pop("soft_start", 0),
@@ -179,7 +185,7 @@ def make_loop(clock, link, trajectory, robot, timing):
             "clock": clock,
             "schedule": schedule,
             "commands": commands,
-            "checks": LowStateChecks(robot, safety, constants),
+            "checks": LowStateChecks(robot, robot.present, safety, constants),
             "overruns": Overruns(2 * MS, safety, constants),
             "period": 2 * MS,
         }

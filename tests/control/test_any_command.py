@@ -49,7 +49,9 @@ def test_every_command_is_within_the_limits(seed, margin, stiffness, lies, leaps
     effort = ROBOT.torque_limit
     kp, kd = np.full(29, stiffness), rng.uniform(0.0, 10.0, 29)
     limits = CommandLimits(ROBOT, SafetyConfig(position_margin=margin))
-    composer = Composer(limits, Gains(kp, kd), Receiver(2_000_000, 0.5))
+    composer = Composer(
+        limits, Gains(kp, kd), Receiver(2_000_000, 0.5), ROBOT.present, ROBOT.present
+    )
     begun = rng.uniform(ROBOT.lower - outside, ROBOT.upper + outside)
     composer.begin(begun.astype(np.float32), 5)
     before, sent = begun, LowCmd()
@@ -69,7 +71,7 @@ def test_every_command_is_within_the_limits(seed, margin, stiffness, lies, leaps
             Phase.PLAY,
             tick,
             elapsed=elapsed,
-            ramped=ramped,
+            progress=ramped,
             measured=measured,
             age=age,
         )

@@ -72,9 +72,9 @@ def made(model, target, monkeypatch):
     return make
 
 
-def command(feed, target, imu, age=NOW, *, phase=Phase.PLAY, ramped=1.0, received=0):
+def command(feed, target, imu, age=NOW, *, phase=Phase.PLAY, ramped=1.0, arrived=0):
     """What a command carries for a target, with this reading of the IMU."""
-    measured = Reading(target.q, target.dq, target.tau, imu, received=received)
+    measured = Reading(target.q, target.dq, target.tau, imu, arrived=arrived)
     return feed.command(Moment(phase, ramped, target, measured, age))
 
 
@@ -251,7 +251,7 @@ def test_the_preview_depends_on_the_bridge(made, announced, given, preview):
 
 
 def test_what_a_policy_observes_is_the_reference_of_a_tick(made):
-    feed = made(None, preview=0.0031, traits=Traits(observes=True))
+    feed = made(None, preview=0.0031, traits=Traits(makes_targets=True))
     assert feed.preview == pytest.approx(0.004)
 
 

@@ -76,7 +76,7 @@ def test_commands_have_the_mode_machine_of_the_robot(make_loop, link):
 
 
 def test_the_part_that_is_played(make_loop, trajectory, timing):
-    targets = Targets(trajectory, start=0.1)
+    targets = Targets(trajectory, start=0.1, moved=np.ones(29, bool))
     assert make_loop(targets=targets).part == (0.1, 0.6)
     assert make_loop(targets=targets, timing=replace(timing, play=None)).part == (0.1, math.inf)
 
@@ -138,7 +138,7 @@ def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
 
 
 def test_a_looping_motion_plays_until_stopped(make_loop, link, motion, timing):
-    targets = Targets(Trajectory(motion, loop=True), start=0.0)
+    targets = Targets(Trajectory(motion, loop=True), start=0.0, moved=np.ones(29, bool))
     loop = make_loop(targets=targets, timing=replace(timing, play=None))
     link.at_send(500, lambda: loop.request_stop("enough"))
     loop.run()
@@ -154,7 +154,7 @@ def test_lateness_ends_with_the_write_and_work_begins_there(make_loop, link, clo
             return super().at(*args)
 
     link.on_send = lambda _: clock.work(150_000)
-    report = make_loop(targets=Laborious(trajectory, start=0.0)).run()
+    report = make_loop(targets=Laborious(trajectory, start=0.0, moved=np.ones(29, bool))).run()
     assert report.lateness.sparse() == {150: ALL}
     assert report.lateness.maximum_ns == 150_000
     assert report.worst_work == 300_000
@@ -212,7 +212,7 @@ def test_waiting_is_not_counted_as_skipping(make_loop, clock):
 
 def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, timing, monkeypatch):
     """Without the collector, as in a session: what refers to itself would stay for ever."""
-    looping = Targets(Trajectory(motion, loop=True), start=0.0)
+    looping = Targets(Trajectory(motion, loop=True), start=0.0, moved=np.ones(29, bool))
     loop = make_loop(targets=looping, timing=replace(timing, play=None))
     blocks = []
 

@@ -251,11 +251,11 @@ def assert_limp(commands):
 
 
 @pytest.fixture
-def changed(trajectory):
+def changed(trajectory, robot):
     """Targets that are changed from 0.1 s into PLAY on."""
 
     def make(change):
-        targets = Targets(trajectory, start=0.0)
+        targets = Targets(trajectory, start=0.0, moved=robot.present)
         at = targets.at
 
         def changed_at(phase, elapsed, *others):

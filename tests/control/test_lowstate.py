@@ -15,7 +15,7 @@ class Robot:
     """LowStates of a robot at rest, one every 2 ms, into checks."""
 
     def __init__(self, robot, **settings):
-        self.checks = LowStateChecks(robot, *thresholds(**settings))
+        self.checks = LowStateChecks(robot, robot.present, *thresholds(**settings))
         self.state = LowState()
         self.state.quaternion[:] = (1, 0, 0, 0)
         self.state.mode_machine[()] = 5
@@ -66,7 +66,7 @@ def test_what_is_measured_is_a_copy(make):
     assert measured.tau.tolist() == [3.0] * 29
     assert measured.imu.quat_wxyz.tolist() == [1, 0, 0, 0]
     assert measured.imu.accelerometer.tolist() == pytest.approx([0, 0, 9.81])
-    assert (measured.mode_machine, measured.received, measured.finite) == (5, NOW, True)
+    assert (measured.mode_machine, measured.arrived, measured.finite) == (5, NOW, True)
 
 
 def test_a_stale_state(make):

@@ -18,7 +18,7 @@ class Watched:
     """A robot that publishes every `period` ns, watched."""
 
     def __init__(self, robot, period=2 * MS, **settings):
-        self.monitor = RobotMonitor(robot, *thresholds(**settings), period)
+        self.monitor = RobotMonitor(robot, robot.present, *thresholds(**settings), period)
         self.period = period
         self.state = LowState()
         self.state.quaternion[0] = 1.0

@@ -24,7 +24,7 @@ class Robot:
 
     def _publish(self):
         tick = round(self.published / _MS) if self.ticks else 0
-        self.time.take(SimpleNamespace(tick=tick, received=round(self.now)), moving=True)
+        self.time.take(SimpleNamespace(tick=tick, arrived=round(self.now)), moving=True)
 
     def run(self, seconds, *, silent=False):
         """Waits of each tick of the loop, ns."""
@@ -87,15 +87,15 @@ def test_a_loop_that_stalled_catches_up_or_waits_as_the_robot_did(robot_too):
 
 def test_a_tick_that_is_full_begins_again():
     time = RobotClock(1.0)
-    time.take(SimpleNamespace(tick=2**32 - 10, received=0), moving=True)
+    time.take(SimpleNamespace(tick=2**32 - 10, arrived=0), moving=True)
     time.begin(0)
-    time.take(SimpleNamespace(tick=10, received=20 * _MS), moving=True)
+    time.take(SimpleNamespace(tick=10, arrived=20 * _MS), moving=True)
     assert time.wait(20 * _MS) == 0
 
 
 def reading(time, q, dq):
     joints = (values.astype(np.float32) for values in (q, dq, np.zeros(29)))
-    return Reading(*joints, IMU, received=round(1e9 * time))
+    return Reading(*joints, IMU, arrived=round(1e9 * time))
 
 
 def estimate(

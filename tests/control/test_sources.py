@@ -42,8 +42,8 @@ class Policy(Source):
         self.seen.append(moment.phase)
         self._step = moment.tick.to_bytes(4, "little")
         self.ticks.append(moment.tick)
-        if moment.measured.received >= self._until:
-            self._until = moment.measured.received + 20_000_000
+        if moment.measured.arrived >= self._until:
+            self._until = moment.measured.arrived + 20_000_000
             self._q = moment.target.q + 0.01
             self.computed.append(moment.phase)
         return moment.target._replace(q=self._q, dq=np.zeros(29))

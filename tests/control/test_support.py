@@ -47,7 +47,7 @@ def test_a_robot_that_hangs_in_unitree_mujoco_is_taken_to_hang(name):
         columns = [recorded[key] for key in ("time", "q", "dq", "quat", "gyro", "accelerometer")]
     for time, q, dq, quat, gyroscope, accelerometer in zip(*columns, strict=True):
         imu = ImuReading(quat, gyroscope, accelerometer)
-        measured = Reading(q, dq, np.zeros(29), imu, received=round(1e9 * time))
+        measured = Reading(q, dq, np.zeros(29), imu, arrived=round(1e9 * time))
         clock.take(measured, moving=True)
         for check in checks.values():
             check.add(measured, np.zeros(3), clock.scale)
@@ -61,6 +61,6 @@ def test_a_robot_that_does_not_move_is_not_judged(support):
     for k in range(2000):
         turning = rng.normal(0.0, 0.01, 3)
         imu = ImuReading(np.array([1.0, 0, 0, 0]), turning, np.array([0, 0, 9.81]))
-        measured = Reading(rest, rng.normal(0.0, 0.01, 29), rest, imu, received=2_000_000 * k)
+        measured = Reading(rest, rng.normal(0.0, 0.01, 29), rest, imu, arrived=2_000_000 * k)
         check.add(measured, np.zeros(3))
     assert check.wrong == (support == "hanging")  # which a pose that does not hang level is not

@@ -8,13 +8,14 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
 STEP = 1e-5
+ALL = np.ones(29, bool)
 
 
 class Asked:
     """Targets of phases that last so many s, asked for one after the other."""
 
-    def __init__(self, trajectory, *, start, play, ramp, ramp_speed=np.inf, played=None):
-        targets = Targets(trajectory, start=start, played=played)
+    def __init__(self, trajectory, *, start, play, ramp, ramp_speed=np.inf, moved=ALL):
+        targets = Targets(trajectory, start=start, moved=moved)
         ramp, play = round(1e9 * ramp), None if play is None else round(1e9 * play)
         timing = Timing(wait=0, ramp=ramp, play=play, hold=0, damp=0)
         self._schedule = Schedule(targets, timing, 2_000_000, ramp_speed)
@@ -162,7 +163,7 @@ def test_a_long_way_takes_a_longer_ramp(trajectory, distance, length, peak):
 
 def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(trajectory):
     played = np.arange(29) >= 12
-    targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0, played=played)
+    targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0, moved=played)
     whole = Asked(trajectory, start=0.1, play=0.3, ramp=2.0)
     start = np.linspace(-0.4, 0.4, 29)
     ramp, _ = targets.begin(start), whole.begin(start)

@@ -14,7 +14,7 @@ from g1stream._version import __version__
 from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
-from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.control.lowstate import LONGEST_INTERVAL
 from g1stream.control.stop import REMEDIES
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError
@@ -252,7 +252,7 @@ def find_problems(summary: Summary) -> Iterator[str]:
             yield "Nothing was received."
         yield from _recorder_problems(recorder)
     gaps = {
-        t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= STATE_TIMEOUT
+        t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= LONGEST_INTERVAL
     }
     if gaps:
         longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
@@ -416,7 +416,9 @@ def _termination(
 ) -> Termination:
     phases = session.phases
     settings = (info.config or {}).get("stream")
-    start = settings.get("start") if isinstance(settings, dict) else None
+    start = 0.0
+    if isinstance(settings, dict) and not settings.get("policy"):  # with one, the motion is cut
+        start = settings.get("start") or 0.0
     guard = next((event.text for event in session.log if event.name == GUARD), None)
     known = session.attached is None  # without our reference, other phases are unknown
     undamped = None if guard or not known else _undamped_in(phases, info, stream, recorder, streams)
@@ -427,7 +429,7 @@ def _termination(
         "guard": guard,
         "played_s": _played_s(session) if phases and played(phases) <= 1 else None,
         "motion_s": info.motion.duration_s if info.motion else None,
-        "start_s": start or 0.0,
+        "start_s": start,
     }
     return read_record(Termination, values)[0] or Termination()
 

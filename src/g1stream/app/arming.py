@@ -116,7 +116,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     cause, remedy = plan.receiver.check(participant)
     state = _plausible_state(participant, plan)
     first = plan.trajectory.sample(plan.interval.start).joint_pos
-    distance = np.where(plan.played, first - state.q.astype(np.float64), 0.0)
+    distance = np.where(plan.moved, first - state.q.astype(np.float64), 0.0)
     ramp = Ramp.for_distance(distance, round(1e9 * config.stream.ramp), config.constants.ramp_speed)
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
@@ -145,7 +145,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
 
 def _plausible_state(participant: Participant, plan: Plan) -> Reading:
     checks, state = (
-        LowStateChecks(plan.robot, plan.config.safety, plan.config.constants),
+        LowStateChecks(plan.robot, plan.held, plan.config.safety, plan.config.constants),
         LowState(),
     )
     wait = plan.config.stream.wait

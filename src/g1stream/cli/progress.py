@@ -160,7 +160,7 @@ def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
         f"{counted(report.skipped, 'tick')} skipped"
     )
     if newest.measured:
-        text += f"; state {(time.monotonic_ns() - newest.measured.received) / 1e6:.0f} ms old"
+        text += f"; state {(time.monotonic_ns() - newest.measured.arrived) / 1e6:.0f} ms old"
     return fraction, f"{text}\n{_errors(phase, newest)}"
 
 
@@ -169,7 +169,7 @@ def _errors(phase: Phase, newest: Prepared) -> str:
     if newest.measured is None or phase is Phase.DAMP:
         return ""
     # The target at the time of the measurement, because the next command's time is later.
-    ahead = (newest.due - newest.measured.received) / 1e9
+    ahead = (newest.due - newest.measured.arrived) / 1e9
     error = newest.target.q - ahead * newest.target.dq - newest.measured.q
     rms = {
         name.replace("left_", "L ").replace("right_", "R "): (error[list(joints)] ** 2).mean()

@@ -41,8 +41,8 @@ class Composer:
         limits: limits of a command.
         gains: kp and kd in all phases except DAMP.
         receiver: the receiver of the commands.
-        played: (29,) joints that play the motion, as published in the Reference; None: all.
-        commanded: (29,) motors that get commands, None: all; the slots of the others are 0.
+        played: (29,) joints that play the motion, as published in the Reference.
+        commanded: (29,) motors that get commands; the slots of the others are 0.
 
     Attributes:
         limits, receiver: as given; `limits` counts the changes.
@@ -53,8 +53,8 @@ class Composer:
         limits: CommandLimits,
         gains: Gains,
         receiver: Receiver,
-        played: NDArray[np.bool_] | None = None,
-        commanded: NDArray[np.bool_] | None = None,
+        played: NDArray[np.bool_],
+        commanded: NDArray[np.bool_],
     ) -> None:
         self.limits, self.receiver = limits, receiver
         self._servo: Floats = np.stack(gains)
@@ -62,10 +62,8 @@ class Composer:
         self._asked = np.zeros((2, N_JOINTS))
         self._command, self._reference = LowCmd(), Reference()
         self._published = np.zeros(len(self._reference.target), np.float32)
-        everything = np.ones(N_JOINTS, np.bool_)
-        self._reference.played[()] = played_bits(everything if played is None else played)
-        self._commanded = everything if commanded is None else commanded
-        self._silent = np.flatnonzero(~self._commanded)
+        self._reference.played[()] = played_bits(played)
+        self._commanded, self._silent = commanded, np.flatnonzero(~commanded)
 
     def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
         """Enable the motors of a robot at the measured pose `q` (29,), rad."""
@@ -89,7 +87,7 @@ class Composer:
         tick: int,
         *,
         elapsed: float,
-        ramped: float = 1.0,
+        progress: float = 1.0,
         measured: Reading | None = None,
         age: float = 0.0,
     ) -> tuple[bytes, bytes]:
@@ -102,7 +100,7 @@ class Composer:
             phase: phase of the session.
             tick: number of the Reference.
             elapsed: time since the previous command, s.
-            ramped: progress of the ramp, 0 to 1.
+            progress: of the way to the first frame, 0 to 1.
             measured: the newest LowState; None: the torque is not limited.
             age: age of `measured` when the command takes effect, s.
 
@@ -119,7 +117,7 @@ class Composer:
                 asked,
                 commanded.tau,
                 elapsed=elapsed,
-                ramped=ramped,
+                progress=progress,
                 gains=self._servo,
                 measured=measured,
                 age=age,
@@ -159,7 +157,7 @@ class Prepared(NamedTuple):
         target: the target before feed-forward and limits.
         due: publish time, ns.
         measured: the newest LowState; None before the first.
-        steps: messages of the source about this command and those that it replaces.
+        steps: steps of a policy for this command, and for those that were prepared but never sent.
     """
 
     command: bytes
@@ -184,7 +182,7 @@ class NextCommand:
     Attributes:
         composer, feedforward: as given.
         prepared: the newest command; None before the first.
-        last: the newest target of the schedule.
+        ahead: the schedule's target when the newest command takes effect.
     """
 
     def __init__(
@@ -199,7 +197,7 @@ class NextCommand:
     ) -> None:
         self.composer, self.feedforward = composer, feedforward
         self.prepared: Prepared | None = None
-        self.last = schedule.targets.first.at_rest()
+        self.ahead = schedule.targets.first.at_rest()
         self._schedule = schedule
         self._period = period
         self._soft_start = soft_start
@@ -247,15 +245,15 @@ class NextCommand:
     def prepare(self, deadline: int, now: int, measured: Reading | None) -> None:
         """Prepare the command that is published at `deadline`."""
         schedule, feedforward = self._schedule, self.feedforward
-        commanded = due = self.last = schedule.target(deadline, self.last)
+        commanded = due = self.ahead = schedule.target(deadline, self.ahead)
         if measured and self.phase is not Phase.DAMP:
             if preview := round(feedforward.preview * 1e9):
-                self.last = schedule.target_ahead(deadline + preview, due)
-            age = (now - measured.received) / 1e9
+                self.ahead = schedule.target_ahead(deadline + preview, due)
+            age = (now - measured.arrived) / 1e9
             time = (deadline - schedule.delayed) / 1e9
             ramped = schedule.ramped(deadline)
             moment = Moment(
-                self.phase, ramped, self.last, measured, age, time, self._sent, self._clock
+                self.phase, ramped, self.ahead, measured, age, time, self._sent, self._clock
             )
             commanded = feedforward.command(moment)
             # The message of a command that is replaced before it is sent goes with the next one.
@@ -274,9 +272,9 @@ class NextCommand:
             self.phase,
             self._sent,
             elapsed=(deadline - since) / 1e9,
-            ramped=minimum_jerk(self._schedule.ramped(deadline))[0],
+            progress=minimum_jerk(self._schedule.ramped(deadline))[0],
             measured=measured,
-            age=(deadline - measured.received) / 1e9 if measured else 0.0,
+            age=(deadline - measured.arrived) / 1e9 if measured else 0.0,
         )
         self.prepared = Prepared(command, reference, due, deadline, measured, self._steps)
 

@@ -105,23 +105,23 @@ class FeedForward:
         # at another rate or on the arrival of a command, with measurements older by a step.
         usual = self._delay + (0.0 if announced is None else self._period)
         self.preview = usual if self._set_preview is None else self._set_preview
-        if self._source.traits.observes:  # the target must be the Reference of a later tick
+        if self._source.traits.makes_targets:  # the target must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period
         self.mode = self._source.begin(first, announced, robot)
         self.status = self._source.status
 
     def command(self, moment: Moment) -> Setpoint:
         """The target with the dq and tau of its command."""
-        target, observes = moment.target, self._source.traits.observes
+        target, own = moment.target, self._source.traits.makes_targets
         scale = self.robot_clock.scale
         if self.mode.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
-        if not observes:
+        if not own:
             target = target.slowed(scale)
         if self.mode.kind == "velocity":
             return target
         # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
-        age = 0.0 if observes else moment.age
+        age = 0.0 if own else moment.age
         fault = self.status.fault or _find_fault(moment.measured.imu, age)
         moment = moment._replace(target=target, scale=scale, fault=fault)
         target = self._source.command(moment)

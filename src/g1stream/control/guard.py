@@ -54,7 +54,6 @@ __all__ = [
     "Heartbeat",
     "Takeover",
     "Watch",
-    "count_subscribers",
 ]
 
 _LOGGER = logging.getLogger("g1stream.guard")  # in the child process, this module is __main__
@@ -238,15 +237,6 @@ class Watch:
         return min(now + _CHECK_PERIOD, limit) if limit > now else now + _CHECK_PERIOD
 
 
-def count_subscribers(participant: Participant, commands: RawWriter) -> int:
-    """Number of subscribers of LowCmd that a writer has matched, without observers."""
-    matched = commands.matched
-    if not matched:
-        return 0
-    readers = participant.readers(commands.topic.name)
-    return max(0, matched - sum(reader.observer for reader in readers))
-
-
 class GuardedLoop(Protocol):
     """Interface of a loop that a guard protects.
 
@@ -411,8 +401,7 @@ def _run_child(parent: Parent) -> None:
         scheduled = on_time(settings.priority, helpers=participant.threads)
         with handled_by(events, ConsoleHandler()), scheduled:
             parent.ready()
-            subscribers = partial(count_subscribers, participant, commands)
-            if why := _watch(parent, heartbeat, settings, subscribers):
+            if why := _watch(parent, heartbeat, settings, commands.subscribers):
                 _end(heartbeat, settings, receiver, commands, why)
 
 

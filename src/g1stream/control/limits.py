@@ -74,19 +74,19 @@ class PositionLimit:
         """Set the measured pose (29,) from which RAMP starts, rad; it may violate the limits."""
         self._begun = np.asarray(q, dtype=np.float64).copy()
 
-    def apply(self, asked: Floats, tau: Floats, ramped: float = 1.0) -> tuple[Floats, Floats]:
+    def apply(self, asked: Floats, tau: Floats, progress: float = 1.0) -> tuple[Floats, Floats]:
         """Targets and torques within the limits; `asked` and `tau` themselves if they are.
 
         Args:
             asked: (2, 29) rad and rad/s.
             tau: (29,) N·m.
-            ramped: progress of the ramp, 0 to 1.
+            progress: progress of the ramp, 0 to 1.
         """
         lower, upper, q = self.lower, self.upper, asked[0]
-        if ramped < 1.0:
+        if progress < 1.0:
             begun = self._begun
-            lower = np.minimum(lower, begun + ramped * (lower - begun))
-            upper = np.maximum(upper, begun + ramped * (upper - begun))
+            lower = np.minimum(lower, begun + progress * (lower - begun))
+            upper = np.maximum(upper, begun + progress * (upper - begun))
         limited = np.minimum(np.maximum(q, lower), upper)
         moved = limited - q
         if not np.count_nonzero(moved):
@@ -101,7 +101,7 @@ class SpeedLimit:
 
     Args:
         robot: the robot with the velocity limits.
-        follow: a target that its joint cannot follow ends the session.
+        must_reach: a target that its joint cannot reach in time ends the session.
 
     Attributes:
         fastest: (29,) rad/s.
@@ -109,8 +109,9 @@ class SpeedLimit:
         fault: why the session must end (the joint that cannot follow its target), or "".
     """
 
-    def __init__(self, robot: G1, *, follow: bool) -> None:
-        self._names, self._velocity, self._follow = robot.joint_names, robot.velocity, follow
+    def __init__(self, robot: G1, *, must_reach: bool) -> None:
+        self._names, self._velocity = robot.joint_names, robot.velocity
+        self._must_reach = must_reach
         self.fastest: Floats = robot.velocity * (1.0 + _SPEED_TOLERANCE)
         self._reach = np.stack([self.fastest] * 2)  # the largest step, rad, and velocity
         self.limited: Ints = np.zeros(N_JOINTS, np.int64)
@@ -133,7 +134,7 @@ class SpeedLimit:
         self.limited += beyond.any(axis=0)
         lag = np.abs(asked[0] - limited[0]) / self._velocity
         joint = int(lag.argmax())
-        if self._follow and lag[joint] > MAX_STEP_TIME and not self.fault:
+        if self._must_reach and lag[joint] > MAX_STEP_TIME and not self.fault:
             self.fault = (
                 f"{self._names[joint]} cannot follow its target, {asked[0, joint]:.3f} rad: at "
                 f"{self._velocity[joint]:g} rad/s it would be {lag[joint]:.3f} s late "
@@ -234,7 +235,7 @@ class CommandLimits:
         in_steps: bool = False,
     ) -> None:
         self.position = PositionLimit(robot, config.position_margin)
-        self.speed = SpeedLimit(robot, follow=beyond == "refuse" and not in_steps)
+        self.speed = SpeedLimit(robot, must_reach=beyond == "refuse" and not in_steps)
         self.torque = TorqueLimit(robot)
         self._names = robot.joint_names
         self._anyway, self._in_steps = beyond == "anyway", in_steps
@@ -251,7 +252,7 @@ class CommandLimits:
         tau: Floats,
         *,
         elapsed: float,
-        ramped: float = 1.0,
+        progress: float = 1.0,
         gains: Floats | None = None,
         measured: Reading | None = None,
         age: float = 0.0,
@@ -262,7 +263,7 @@ class CommandLimits:
             asked: (2, 29) position and velocity, rad and rad/s.
             tau: (29,) N·m.
             elapsed: time since the previous command, s.
-            ramped: progress of the ramp, 0 to 1.
+            progress: progress of the ramp, 0 to 1.
             gains: (2, 29) kp and kd, N·m/rad and N·m·s/rad.
             measured: the newest LowState; None: the torque is not limited.
             age: age of `measured` when the command takes effect, s.
@@ -270,7 +271,7 @@ class CommandLimits:
         Returns:
             As `asked` and `tau`; `asked` itself if nothing is limited.
         """
-        asked, tau = self.position.apply(asked, tau, ramped)
+        asked, tau = self.position.apply(asked, tau, progress)
         if self._anyway:
             return asked, tau
         last, rested = self._sent, self._sent.rested

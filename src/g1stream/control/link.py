@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.control.guard import Takeover, count_subscribers
+from g1stream.control.guard import Takeover
 from g1stream.control.stop import Stop
 from g1stream.dds.discovery import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
@@ -110,7 +110,7 @@ class DdsLink:
 
     def subscribers(self) -> int:
         """Number of matched subscribers of LowCmd, without observers."""
-        return count_subscribers(self._participant, self._commands)
+        return self._commands.subscribers()
 
     def other_publishers(self) -> list[str]:
         # Looking up names takes a fraction of a tick, so it is done only after a writer has

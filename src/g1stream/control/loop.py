@@ -66,7 +66,7 @@ class StreamLoop:
         where: DDS domain and network of the robot, for log messages.
 
     Attributes:
-        damped: whether the last command damped; also true before the first one.
+        damped: whether the last command was sent in DAMP; also true before the first one.
         stop_requests: number of calls of `request_stop`, including those after the end.
         report: counts and timing so far, and finally of the whole run.
     """
@@ -311,7 +311,7 @@ class StreamLoop:
         if self.stop_requests > 1 or not self._schedule.go_down(
             deadline,
             requested,
-            self._commands.last,
+            self._commands.ahead,
             stands=self._feedforward.status.stands,
         ):
             self._stop = self._stop or requested
@@ -419,21 +419,23 @@ def make_loop(
     """
     config, settings, robot = plan.config, plan.config.stream, plan.robot
     period, receiver, traits = settings.period, plan.receiver, plan.source.traits
-    limits = CommandLimits(robot, config.safety, settings.beyond_limits, in_steps=traits.observes)
+    limits = CommandLimits(
+        robot, config.safety, settings.beyond_limits, in_steps=traits.makes_targets
+    )
     composer = Composer(limits, plan.gains, receiver, plan.played, plan.commanded)
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
     if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
-    start, played = plan.interval.start, plan.played
-    targets = Targets(plan.trajectory, start=start, played=played, way_down=down)
+    start = plan.interval.start
+    targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down)
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
         plan.source,
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,
         preview=settings.preview,
-        robot_clock=RobotClock(config.constants.time_scale, followed=traits.observes),
+        robot_clock=RobotClock(config.constants.time_scale, followed=traits.makes_targets),
         delay=robot.parameters.command_delay,
         torque_scale=robot.parameters.torque_scale,
     )
@@ -449,7 +451,7 @@ def make_loop(
             soft_start=0 if receiver.carries else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
-        LowStateChecks(robot, config.safety, config.constants, period, plan.held),
+        LowStateChecks(robot, plan.held, config.safety, config.constants, period),
         Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["STATE_TIMEOUT", "LowStateChecks", "state_timeout"]
+__all__ = ["LONGEST_INTERVAL", "LowStateChecks", "state_timeout"]
 
-STATE_TIMEOUT: Final = 0.1
+LONGEST_INTERVAL: Final = 0.1
 """Maximum interval of LowStates at which a robot may be commanded, s."""
 
-_SELDOM: Final = f"LowState arrives less often than every {STATE_TIMEOUT:g} s"
+_SELDOM: Final = f"LowState arrives less often than every {LONGEST_INTERVAL:g} s"
 #: Maximum distance of a joint beyond its limits at the start of RAMP, rad: the play of an end stop.
 _START_TOLERANCE: Final = 0.1
 #: Factor by which a joint that something hits may be faster than its motor.
@@ -56,9 +56,9 @@ class LowStateChecks:
 
     Args:
         robot: the robot with its limits.
+        held: (29,) joints with a position servo.
         config, constants: the thresholds.
         period: time between two checks of LowState, ns.
-        held: (29,) joints with a position servo; None: all.
 
     Attributes:
         measured: the newest LowState with a right CRC; None before the first.
@@ -74,16 +74,16 @@ class LowStateChecks:
     def __init__(
         self,
         robot: G1,
+        held: NDArray[np.bool_],
         config: SafetyConfig,
         constants: ProfileConstants,
         period: int = 0,
-        held: NDArray[np.bool_] | None = None,
     ) -> None:
         self.measured: Reading | None = None
         self.crc_errors = 0
         self.missing = ""
         self.stop: Stop | None = None
-        self._monitor = RobotMonitor(robot, config, constants, period, held)
+        self._monitor = RobotMonitor(robot, held, config, constants, period)
         self._operator = Operator(config.stop_buttons, config.deadman)
         self._config, self._constants = config, constants
         self._robot = robot
@@ -121,7 +121,7 @@ class LowStateChecks:
         self._begun = True
         self._monitor.max_tilt = self._config.tilt_limit(support)
         if self.measured:
-            self._content_since = self.measured.received
+            self._content_since = self.measured.arrived
             self._content_target = self.measured.q.astype(np.float64)
         self._set_tolerance(self._constants.limit_excess)
 
@@ -140,7 +140,7 @@ class LowStateChecks:
         if measured is None:
             return None
         buttons = state.buttons
-        seldom = _SELDOM if self._interval > STATE_TIMEOUT else ""
+        seldom = _SELDOM if self._interval > LONGEST_INTERVAL else ""
         self.missing = self._operator.missing(buttons) or seldom
         if self.unknown(now, target):
             self.stop = None
@@ -171,7 +171,7 @@ class LowStateChecks:
             return None
         before = self.measured
         measured = Reading.from_low_state(state, now, before)
-        self._interval = (now - before.received) / 1e9 if before else math.inf
+        self._interval = (now - before.arrived) / 1e9 if before else math.inf
         self._check_tick(int(state.tick), now)
         if before is None or measured.content != before.content:
             self._fault = self._implausible(measured)
@@ -200,7 +200,7 @@ class LowStateChecks:
         dropped = f"; {self.crc_errors} with a wrong CRC were dropped" if self.crc_errors else ""
         if self.measured is None:
             return f"no LowState received{dropped}"
-        age = (now - self.measured.received) / 1e9
+        age = (now - self.measured.arrived) / 1e9
         if age > self._timeout:
             return f"no LowState for {age:.3f} s ({self._timeout_words}){dropped}"
         return (
@@ -277,7 +277,7 @@ class LowStateChecks:
             return ""
         # A simulator that is late catches up in a burst; its ticks, in ms, give the passed time.
         ticks = ticks_between(self._content_tick, tick)
-        passed = max((measured.received - self._content_since) / 1e9, ticks / 1e3)
+        passed = max((measured.arrived - self._content_since) / 1e9, ticks / 1e3)
         allowed = fastest * passed + most
         if (step > allowed).any():
             joint = int(np.argmax(step - allowed))

@@ -96,9 +96,9 @@ class RobotMonitor:
 
     Args:
         robot: the robot with its limits.
+        held: (29,) joints with a position servo, which follow a target.
         config, constants: the thresholds.
         period: time between two checks of LowState, ns.
-        held: (29,) joints with a position servo, which follow a target; None: all.
 
     Attributes:
         max_tilt: pelvis tilt that ends the session, rad.
@@ -107,10 +107,10 @@ class RobotMonitor:
     def __init__(
         self,
         robot: G1,
+        held: NDArray[np.bool_],
         config: SafetyConfig,
         constants: ProfileConstants,
         period: int = 0,
-        held: NDArray[np.bool_] | None = None,
     ) -> None:
         self.max_tilt = _OVERTURNED if config.max_tilt is None else config.max_tilt
         self._config, self._constants = config, constants
@@ -157,9 +157,7 @@ class RobotMonitor:
         found = self._too_hot(state) or self._without_voltage(state, now)
         if found or target is None:
             return found
-        target = np.clip(target, self._lower, self._upper)
-        if self._held is not None:
-            target = np.where(self._held, target, measured.q)
+        target = np.where(self._held, np.clip(target, self._lower, self._upper), measured.q)
         time, passed = self._time, (self._time - self._last) / 1e9
         self._last = time
         return (

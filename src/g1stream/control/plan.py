@@ -18,9 +18,8 @@ from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.network import is_local_only
-from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.session.records import MotionInfo, ParametersInfo, SessionInfo
+from g1stream.session.records import SessionInfo
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,23 +73,24 @@ class Plan:
         """The motion as it is played."""
         return self.trajectory.motion
 
+    @property
+    def moved(self) -> NDArray[np.bool_]:
+        """(29,) joints that move: those that play, and of a robot on its own feet all."""
+        return self.robot.present if self.source.traits.way_down else self.played
+
     def summary(self) -> dict[str, float]:
         """Fields of `StreamSummary` about the played motion."""
         return {"start_s": self.interval.start, "slowed": self.slowed}
 
     def session_info(self) -> SessionInfo:
         """The metadata of a session file before its first sample."""
-        about = {
-            "policy": self.source.traits.about,
-            "params": ParametersInfo.from_robot(self.robot),
-        }
-        return SessionInfo(
-            motion=MotionInfo.from_motion(self.motion),
-            gains={name: values.tolist() for name, values in self.gains._asdict().items()},
-            joints=[JOINT_NAMES[i] for i in np.flatnonzero(self.played)],
-            absent=[JOINT_NAMES[i] for i in self.robot.joint_set.absent],
-            config=self.config.model_dump(mode="json"),
-            **{name: value for name, value in about.items() if value},
+        return SessionInfo.from_config(
+            self.config,
+            self.robot,
+            self.motion,
+            self.gains._asdict(),
+            self.played,
+            self.source.traits.about,
         )
 
     def log_events(self) -> None:
@@ -128,7 +128,7 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.prepare(motion)
-    asked, limited = config, not source.traits.observes
+    asked, limited = config, not source.traits.makes_targets
     if not limited:
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
         asked = config.model_copy(update={"stream": whole})

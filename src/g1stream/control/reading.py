@@ -47,7 +47,7 @@ class Reading:
         q, dq, tau: (29,) rad, rad/s, N·m, motor order.
         imu: reading of the IMU in the pelvis.
         mode_machine: robot type.
-        received: time of reception, ns of the loop's monotonic clock.
+        arrived: time of reception, ns of the loop's monotonic clock.
         tick: the robot's time, ms; 0 from Unitree's Python simulator.
         content: `q`, `dq`, `tau` and `imu` as bytes.
         finite: whether `q`, `dq`, `tau` and `imu` have no NaN or infinity.
@@ -61,7 +61,7 @@ class Reading:
     tau: NDArray[np.floating]
     imu: ImuReading
     mode_machine: int = 0
-    received: int = 0
+    arrived: int = 0
     tick: int = 0
     content: bytes = b""
     finite: bool = True
@@ -84,7 +84,7 @@ class Reading:
     @property
     def _comparable(self) -> bool:
         recent = self.recent
-        return len(recent) == _COMPARED and self.received - recent[0][0] <= STALE * 1e9
+        return len(recent) == _COMPARED and self.arrived - recent[0][0] <= STALE * 1e9
 
     def _steady(self, part: slice) -> NDArray[np.floating]:
         first, second, third = (values[part] for _, values in self.recent)
@@ -94,9 +94,9 @@ class Reading:
 
     @classmethod
     def from_low_state(
-        cls, state: LowState, received: int, before: Reading | None = None
+        cls, state: LowState, arrived: int, before: Reading | None = None
     ) -> Reading:
-        """Copy a LowState that was received at `received`, ns of the monotonic clock.
+        """Copy a LowState that was received at `arrived`, ns of the monotonic clock.
 
         `before` is the one before it from the same publisher.
         """
@@ -104,14 +104,14 @@ class Reading:
         content, recent = values.tobytes(), before.recent if before else ()
         finite = bool(np.isfinite(values).all())
         if before is None or content != before.content:
-            recent = (*recent[1 - _COMPARED :], (received, values)) if finite else ()
+            recent = (*recent[1 - _COMPARED :], (arrived, values)) if finite else ()
         return cls(
             values[:29],
             values[29:58],
             values[58:87],
             ImuReading(values[87:91], values[91:94], values[94:97]),
             int(state.mode_machine),
-            received,
+            arrived,
             int(state.tick),
             content,
             finite,
@@ -131,5 +131,8 @@ def all_finite(values: NDArray[np.floating]) -> bool:
 
 
 def is_unit(quat_wxyz: NDArray[np.floating]) -> bool:
-    """Whether a measured quaternion (4,) has a norm close to 1; False if it contains NaN."""
+    """Whether a measured quaternion (4,) has a norm close to 1; False if it contains NaN.
+
+    That of `robot.rotations` for one quaternion, and faster.
+    """
     return abs(math.hypot(*quat_wxyz.tolist()) - 1.0) <= UNIT_TOLERANCE

@@ -89,7 +89,7 @@ class RobotClock:
             if self._ticks:
                 self._passed += max(0, ticks) * _NS_PER_MS
             else:
-                passed = min(measured.received - last.received, _STALE)
+                passed = min(measured.arrived - last.arrived, _STALE)
                 self._passed += round(passed * self.scale)
         if self._measures and moving:
             self._integrate(measured)
@@ -102,7 +102,7 @@ class RobotClock:
         """Change of `delay` since the last call, ns; negative if the motion catches up."""
         if self._begun is None or self._last is None:
             return 0
-        age = min(now - self._last.received, _SLACK)
+        age = min(now - self._last.arrived, _SLACK)
         behind = now - self._begun - self._passed - age
         before = self.delay
         self.delay = min(max(before, behind - _SLACK), max(behind + _SLACK, before - _CATCH_UP))
@@ -115,7 +115,7 @@ class RobotClock:
 
     def _integrate(self, measured: Reading) -> None:
         """Add a reading to the span, and estimate the scale at its end."""
-        time = measured.received / 1e9
+        time = measured.arrived / 1e9
         q, velocity = measured.q.astype(np.float64), measured.dq.astype(np.float64)
         passed = time - self._added
         if passed <= 0.0 or passed > self._GAP:

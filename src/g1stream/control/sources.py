@@ -47,14 +47,14 @@ class Moment(NamedTuple):
 
     Attributes:
         phase: RAMP, PLAY or HOLD.
-        ramped: progress of the ramp as a share of its time; 1 after it.
+        ramped: share of the time of the ramp that has passed; 1 after it.
         target: the desired state when the command takes effect.
         measured: the newest LowState.
         age: time since the reception of `measured`, s.
         time: time of the motion's clock, s, which continues in HOLD and stops while the motion
             waits.
         tick: number of the Reference that is published with the command.
-        clock: returns the time, ns of the clock of `measured.received`, to measure durations.
+        clock: returns the time, ns of the clock of `measured.arrived`, to measure durations.
         scale: ratio of simulated to real time.
         fault: why nothing can be computed from `measured`, or "".
     """
@@ -79,15 +79,15 @@ class Traits:
         gains: gains for the targets; None: those of the config.
         way_down: motion with which HOLD ends, of a robot on its own feet. It falls without the
             source, so the run ends when the torque has faded out. None: the robot is held.
-        observes: the motion is not commanded, but an input. `prepare` returns the part that the
-            settings select, and its limits are not checked. It follows the robot's time, and waits
-            while a simulator stalls. Targets are computed at a lower rate, for their torque.
+        makes_targets: the source makes its own targets, at a lower rate and for their torque, and
+            only observes the motion. `prepare` returns the part that the settings select, and its
+            limits are not checked. It follows the robot's time, and waits while a simulator stalls.
         about: metadata of the policy that computes the targets; None without a policy.
     """
 
     gains: Gains | None = None
     way_down: WayDown | None = None
-    observes: bool = False
+    makes_targets: bool = False
     about: PolicyInfo | None = None
 
 
@@ -95,7 +95,7 @@ class Mode(NamedTuple):
     """How commands are made, as decided when RAMP begins.
 
     Attributes:
-        kind: what commands have beside positions; None for a source that observes the motion.
+        kind: what commands have beside positions; None for a source that makes its own targets.
         support: how the robot is held; None: unknown.
         robot: name of the robot's model; None without a model.
     """

@@ -121,7 +121,7 @@ class SupportCheck:
         `expected` is the angular velocity (3,) of the pelvis in the reference, rad/s; `scale` is
         the ratio of simulated to real time.
         """
-        time, imu = measured.received / 1e9, measured.imu
+        time, imu = measured.arrived / 1e9, measured.imu
         if not 0.0 <= time - self._received <= self._GAP:
             self._start = -np.inf
         self._received = time

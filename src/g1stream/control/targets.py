@@ -210,11 +210,10 @@ class Targets:
     Args:
         trajectory: the motion.
         start: motion time at which PLAY begins, s.
-        played: (29,) joints that play the motion, None: all; the others keep the pose from which
-            RAMP starts.
+        moved: (29,) joints that the trajectory moves; the others keep the pose from which RAMP
+            starts.
         way_down: motion with which HOLD ends; None: no motion. With it, RAMP begins with a lifted
-            pelvis. A simulator that holds the pelvis there lowers the robot onto its feet. The
-            motion of joints that do not play is part of `trajectory`.
+            pelvis. A simulator that holds the pelvis there lowers the robot onto its feet.
 
     Attributes:
         first: the target at `start`.
@@ -226,12 +225,12 @@ class Targets:
         trajectory: Trajectory,
         *,
         start: float,
-        played: NDArray[np.bool_] | None = None,
+        moved: NDArray[np.bool_],
         way_down: WayDown | None = None,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
-        self._played = None if way_down or played is None or played.all() else played
+        self._moved = None if moved.all() else moved
         self._lift = np.array([0.0, 0.0, _LIFT if way_down else 0.0])
         self.way_down = way_down
         self._from: Floats | None = None
@@ -243,7 +242,7 @@ class Targets:
     def begin(self, q: NDArray[np.floating]) -> Floats:
         """Set the measured pose (29,) where RAMP starts, rad; return the distance to `first`."""
         self._from = np.asarray(q, dtype=np.float64).copy()
-        self.first = self._of_played(self.first)
+        self.first = self._of_moved(self.first)
         self._playing.cache_clear()
         return self.first.q - self._from
 
@@ -269,17 +268,17 @@ class Targets:
         return self._start + (elapsed if timing.play is None else min(elapsed, timing.play)) / 1e9
 
     def _sample(self, time: float) -> Setpoint:
-        return self._of_played(Setpoint.from_point(time, self._trajectory.sample(time)))
+        return self._of_moved(Setpoint.from_point(time, self._trajectory.sample(time)))
 
-    def _of_played(self, target: Setpoint) -> Setpoint:
-        """The target with joints that are not played at rest in the pose where RAMP starts."""
-        played = self._played
-        if played is None or self._from is None:
+    def _of_moved(self, target: Setpoint) -> Setpoint:
+        """The target with joints that are not moved at rest in the pose where RAMP starts."""
+        moved = self._moved
+        if moved is None or self._from is None:
             return target
         return target._replace(
-            q=np.where(played, target.q, self._from),
-            dq=np.where(played, target.dq, 0.0),
-            ddq=np.where(played, target.ddq, 0.0),
+            q=np.where(moved, target.q, self._from),
+            dq=np.where(moved, target.dq, 0.0),
+            ddq=np.where(moved, target.ddq, 0.0),
         )
 
     def _ramping(self, elapsed: int, timing: Timing) -> Setpoint:

@@ -160,6 +160,7 @@ class RawWriter:
         policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)]
         if latched:
             policies.append(Policy.Durability.TransientLocal)
+        self._participant = participant
         self._writer = _create(DataWriter, participant, topic, user_data, *policies)
         participant.register(self)
 
@@ -195,6 +196,13 @@ class RawWriter:
         status = dds_c_t.publication_matched_status()
         _STATUSES.readers(self._writer._ref, ctypes.byref(status))
         return int(status.current_count)
+
+    def subscribers(self) -> int:
+        """Number of matched readers, without recorders and other observers."""
+        if not (matched := self.matched):
+            return 0
+        readers = self._participant.readers(self.topic.name)
+        return max(0, matched - sum(reader.observer for reader in readers))
 
 
 class PublishersByTurns:

@@ -10,6 +10,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -20,11 +21,18 @@ from pydantic import (
 )
 
 from g1stream.realtime import Grant
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import FeedForwardKind, Phase, StopKind, StreamSupport
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from g1stream.config import Config
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
+    from g1stream.types import Floats
 
 __all__ = [
     "AttachedInfo",
@@ -341,6 +349,38 @@ class SessionInfo(Record):
     policy: PolicyInfo | None = None
     params: ParametersInfo | None = None
     config: dict[str, Any] | None = None
+
+    @classmethod
+    def from_config(
+        cls,
+        config: Config,
+        robot: G1,
+        motion: Motion,
+        gains: Mapping[str, Floats],
+        played: NDArray[np.bool_],
+        policy: PolicyInfo | None = None,
+    ) -> SessionInfo:
+        """Describe a motion that is about to be played.
+
+        Args:
+            config: all settings.
+            robot: robot that plays it.
+            motion: the motion.
+            gains: arrays (29,) by the names in `Gains`.
+            played: (29,) joints that play it.
+            policy: policy that plays it.
+        """
+        params = ParametersInfo.from_robot(robot)
+        told: dict[str, Any] = {"policy": policy} if policy else {}
+        told |= {"params": params} if params else {}
+        return cls(
+            **told,
+            motion=MotionInfo.from_motion(motion),
+            gains={name: values.tolist() for name, values in gains.items()},
+            joints=[JOINT_NAMES[i] for i in np.flatnonzero(played)],
+            absent=[JOINT_NAMES[i] for i in robot.joint_set.absent],
+            config=config.model_dump(mode="json"),
+        )
 
 
 class Finding(Record):

@@ -67,6 +67,11 @@ def test_it_stands_and_follows_the_reference():
     assert np.abs(session.base.velocity[after, 2]).max() < 0.05
 
 
+def test_all_joints_of_a_robot_on_its_feet_move():
+    planned = plan("demo", config(joints="arms"), simulated=True)
+    assert (planned.played.sum(), planned.moved.sum()) == (14, 29)
+
+
 def flags_in(remedy):
     """The settings of each way in a remedy that gives flags."""
     for way in remedy.split("; or "):

@@ -75,7 +75,7 @@ def test_a_run_that_ends_while_ramp_waits_for_the_feet_squats_down(squats):
     timing = Timing(
         wait=0, ramp=500 * MS, play=1000 * MS, hold=500 * MS, damp=100 * MS, way_down=2000 * MS
     )
-    targets = Targets(squats, start=0.0, way_down=Squat(ROBOT))
+    targets = Targets(squats, start=0.0, moved=ROBOT.present, way_down=Squat(ROBOT))
     schedule = Schedule(targets, timing, 2 * MS)
     schedule.state = PhaseState(Phase.RAMP, 0)
     schedule.begin_ramp(targets.first.q)

@@ -20,9 +20,9 @@ ROBOT = G1.default()
 TARGET = Setpoint.from_point(1.0, Trajectory(load_motion("demo")).sample(1.0))
 
 
-def commanded(source, quat, rate, received=0):
+def commanded(source, quat, rate, arrived=0):
     imu = ImuReading(np.array(quat), np.array(rate), np.array([0.0, 0.0, 9.81]))
-    measured = Reading(TARGET.q, TARGET.dq, TARGET.tau, imu, received=received)
+    measured = Reading(TARGET.q, TARGET.dq, TARGET.tau, imu, arrived=arrived)
     return source.command(Moment(Phase.PLAY, 1.0, TARGET, measured, 0.002))
 
 
@@ -35,7 +35,7 @@ def test_the_measured_attitude_decides_and_a_robot_that_walks_contradicts_no_sup
     held = InverseDynamics(ROBOT).solve("bolted", TARGET.q, TARGET.dq, TARGET.ddq, base)
     assert commanded(source, quat, np.zeros(3)).tau == pytest.approx(held.tau)
     for tick in range(2000):
-        commanded(source, quat, rng.normal(size=3), received=2_000_000 * tick)
+        commanded(source, quat, rng.normal(size=3), arrived=2_000_000 * tick)
     assert source.status.fault == ""
 
 

@@ -189,7 +189,7 @@ def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     soles = Soles(ROBOT).path(motion.joint_pos[:1], motion.root_pos[:1], motion.root_quat_wxyz[:1])
     assert soles[..., 2].min() == pytest.approx(0.0, abs=1e-3)
     assert yaw_of(motion.root_quat_wxyz) == pytest.approx(np.full(motion.n_frames, 1.0))
-    assert source.traits.observes
+    assert source.traits.makes_targets
 
 
 def test_a_part_of_a_motion(policy):
@@ -297,8 +297,8 @@ def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(polic
     for tau, waits in ((hanging, True), (standing, False)):
         for i in range(40):
             measured = weighed(tau)
-            received = round(1e9 * (10.0 + 0.02 * i + 5.0 * (not waits)))
-            object.__setattr__(measured, "received", received)
+            arrived = round(1e9 * (10.0 + 0.02 * i + 5.0 * (not waits)))
+            object.__setattr__(measured, "arrived", arrived)
             source.command(Moment(Phase.RAMP, 1.0, target, measured, 0.0))
         assert bool(source.status.awaited) == waits
     source = PolicyTargets(settings(policy()), ROBOT)

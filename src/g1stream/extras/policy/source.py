@@ -97,7 +97,7 @@ class PolicyTargets(Source):
         self.traits = Traits(
             Gains(contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)),
             way_down=BackToStanding(self._still, settings.stand),
-            observes=True,
+            makes_targets=True,
             about=_about(contract, self._network),
         )
         self._observer, self._order = Observer(contract), contract.order
@@ -157,7 +157,7 @@ class PolicyTargets(Source):
         return Mode(None, "free", self._robot.name)
 
     def _weigh(self, measured: Reading) -> None:
-        now = measured.received / 1e9
+        now = measured.arrived / 1e9
         if now < self._weighed + _LOAD_PERIOD or not self._waits:
             return
         self._weighed = now
@@ -210,7 +210,7 @@ class PolicyTargets(Source):
         step.tick[()], step.step[()] = moment.tick, self._steps
         step.state_published[()], step.state_received[()] = measured.stamps
         step.motion_time[()] = moment.target.motion_time
-        step.state_age[()] = (begun - measured.received) / 1e9
+        step.state_age[()] = (begun - measured.arrived) / 1e9
         step.n_observation[()] = len(observation)
         step.observation[: len(observation)] = observation
         step.action[self._order] = action
@@ -238,7 +238,7 @@ class PolicyTargets(Source):
         before, self._observed = self._observed or measured, measured
         # If ticks do not advance, the reception time is used.
         passed = ticks_between(before.tick, measured.tick) / 1e3
-        passed = passed or (measured.received - before.received) / 1e9
+        passed = passed or (measured.arrived - before.arrived) / 1e9
         self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
         pose = self._odometry.pos, state.quat_wxyz
         return state._replace(

@@ -495,7 +495,8 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
     elif not summary.topics and tracking.all_joints.delay_s is None:
         delay = "only computed for recordings: give --record"
     else:
-        delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
+        preview = summary.stream.preview_s if summary.stream else None
+        delay = _delay(tracking, preview, known=not summary.attached or preview is not None)
     return [
         *table(rows, left=(0, 5)),
         "",
@@ -530,7 +531,8 @@ def _attached(info: AttachedInfo) -> str:
     )
 
 
-def _delay(tracking: TrackingSummary, preview: float | None) -> str:
+def _delay(tracking: TrackingSummary, preview: float | None, *, known: bool) -> str:
+    """The delay in words; if the preview is not `known`, the reference is what commands told."""
     delay = tracking.all_joints.delay_s
     if delay is None:
         return "unknown: too little movement, or no delay explains the error"
@@ -546,7 +548,8 @@ def _delay(tracking: TrackingSummary, preview: float | None) -> str:
         else ""
     )
     return (
-        f"the robot is {_late(delay)} the reference ({sure}){behind}; RMSE "
+        f"the robot is {_late(delay)} {'the reference' if known else 'its commands'} "
+        f"({sure}){behind}; RMSE "
         f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
         f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
     )

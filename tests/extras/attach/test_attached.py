@@ -94,6 +94,36 @@ def test_commands_tell_when_the_motion_began_and_the_robot_how_late_it_is(attach
     assert attached.summary().problems == []
 
 
+@pytest.mark.parametrize("rate", [25, 50, 100])
+@pytest.mark.parametrize("repeated", [False, True])
+def test_a_target_that_is_repeated_counts_once(motion, rate, repeated):
+    """A robot holds each target from 8 ms after it was first sent."""
+    trajectory = Trajectory(motion)
+    times = np.arange(0.0, 18.0, 0.002)
+    steps = np.floor(times * rate + 1e-6) / rate
+    sent = times if repeated else np.unique(steps)
+    targets = np.floor(sent * rate + 1e-6) / rate
+    held = np.floor((times - 0.008) * rate + 1e-6) / rate
+    source = MemorySource("stranger")
+    for topic, when, values in (
+        (LOWCMD, sent, {"motor_cmd": targets}),
+        (LOWSTATE, times, {"motor_state": held}),
+    ):
+        ((part, at),) = values.items()
+        q = trajectory.sample_joints((at - 4.0).clip(0.0))[0]
+        fields = {f"{part}.q": q} | ({"motor_cmd.kp": q * 0.0 + 40.0} if topic is LOWCMD else {})
+        if topic is LOWSTATE:
+            fields["imu_state.quaternion"] = np.tile([1.0, 0.0, 0.0, 0.0], (len(when), 1))
+        stamps = T0 + np.round(when * 1e9).astype(np.int64)
+        data = encode_samples(topic, fields, len(when))
+        source.write_batch(topic.name.replace("rt/", "/"), data, stamps + LATENCY, stamps)
+    session = Session(source).attach(motion)
+    assert session.attached.by == "commands"
+    assert start_of(session) == pytest.approx(4.0, abs=2e-4)
+    late = np.mean(times - held)
+    assert session.tracking().delay.seconds == pytest.approx(late, abs=2e-4)
+
+
 @pytest.mark.parametrize("topics", [(LOWSTATE,), (LOWCMD, LOWSTATE)])
 def test_by_the_robot_its_lag_is_part_of_the_start_and_no_delay_is_told(strangers, motion, topics):
     """Where there are no commands, or their targets are there for their torque."""

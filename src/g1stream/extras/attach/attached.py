@@ -31,7 +31,7 @@ from g1stream.session.streams import (
 )
 from g1stream.session.writer import attach_motion
 from g1stream.text import counted
-from g1stream.types import Floats, Ints, Phase
+from g1stream.types import MAX_GAP_NS, Floats, Ints, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -97,6 +97,8 @@ def find_motion(recorded: Iterable[Recorded], trajectory: Trajectory) -> Found |
         sane = np.flatnonzero((np.abs(q) < NUMBER).all(axis=1))
         _, once = np.unique(published[sane], return_index=True)
         rows = sane[once]
+        if by != "measured joints":
+            rows = rows[_sent_first(published[rows], q[rows])]
         if len(rows):
             zero = int(published[rows[0]])
             times = (published[rows] - zero) / 1e9
@@ -110,6 +112,17 @@ def find_motion(recorded: Iterable[Recorded], trajectory: Trajectory) -> Found |
     if first.distance < _NEARER * last.distance:
         return first
     return min(found, key=lambda one: one.distance)
+
+
+def _sent_first(published: Ints, q: Floats) -> NDArray[np.bool_]:
+    """(N,) which commands say when their target was due: those that do not repeat a target.
+
+    A program may repeat each target of 50 Hz at 500 Hz, and a robot that follows a repeated one is
+    not late. Targets that stay for longer than a gap are rest, so they count again after it.
+    """
+    new = np.append(True, (q[1:] != q[:-1]).any(axis=1))
+    begun = np.maximum.accumulate(np.where(new, published, published[0]))
+    return np.asarray(new | (published - begun > MAX_GAP_NS))
 
 
 def with_motion(session: Recording, motion: Motion, play: int = 1) -> ExtendedSource:

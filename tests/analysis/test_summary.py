@@ -7,6 +7,7 @@ import pytest
 
 from g1stream.analysis.summarise import find_problems, message_stats, summarise_run
 from g1stream.analysis.summary import Summary
+from g1stream.analysis.tracking import compare
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.control.stop import REMEDIES
@@ -167,6 +168,26 @@ def test_a_clock_that_was_set_changes_no_duration(play, summarise, step_s, ended
     assert summary.tracking.compared_s == pytest.approx(4.0, abs=3e-3)
     assert summary.tracking.all_joints.rmse_rad < 1e-3
     assert summary.topics["/lowstate"].rate_hz == pytest.approx(500.0, abs=0.1)
+
+
+@pytest.mark.parametrize("step_s", [0.05, -0.05, 2.0])
+def test_a_robot_whose_clock_is_set_in_play_is_followed_further(play, summarise, step_s):
+    reference, measured = play(0.012)
+    behind = measured.publish_time - T0 > 2_000_000_000
+    measured.publish_time[behind] += round(step_s * 1e9)
+    summary = summarise(streams=(reference, measured), metadata=METADATA)
+    followed, (step,) = summary.tracking.all_joints, summary.topics["/lowstate"].clock_steps
+    assert followed.delay_s == pytest.approx(0.012, abs=2e-4)
+    assert followed.rmse_rad == pytest.approx(compare(*play(0.012)).overall, rel=0.01)
+    assert step.step_ns == pytest.approx(step_s * 1e9, abs=1e6)
+    assert any("clock of the publisher of /lowstate" in one for one in summary.problems)
+
+
+@pytest.mark.parametrize(("delay", "possible"), [(-0.012, False), (-0.003, True), (0.01, True)])
+def test_a_robot_is_not_ahead_of_its_commands(play, summarise, delay, possible):
+    stream = METADATA["stream"] | {"preview_s": 0.0}
+    summary = summarise(streams=play(delay), metadata=METADATA | {"stream": stream})
+    assert any("impossible" in one for one in summary.problems) != possible
 
 
 @pytest.mark.parametrize(

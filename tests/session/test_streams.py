@@ -3,7 +3,14 @@ import pytest
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import encode_log
-from g1stream.session.streams import LogEvent, MeasuredStream, ReferenceStream, without_steps
+from g1stream.session.records import ClockStep
+from g1stream.session.streams import (
+    LogEvent,
+    MeasuredStream,
+    ReferenceStream,
+    Stream,
+    without_steps,
+)
 from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
@@ -114,8 +121,48 @@ def test_a_number_that_stands_for_no_phase_is_named():
 def test_a_step_is_taken_out_where_the_times_show_most_of_it(step, shown, left):
     regular = T0 + 10_000_000 * np.arange(2 * N)
     later = np.arange(2 * N) >= N
-    found = without_steps(regular + round(shown * step) * later, [step])
+    found = without_steps(regular + round(shown * step) * later, [ClockStep(step_ns=step)])
     np.testing.assert_array_equal(found, regular + round(left * step) * later)
+
+
+@pytest.mark.parametrize("step", [0.05, -0.05, 2.0, -2.0])
+def test_a_robot_whose_clock_is_set_keeps_its_place_in_time(step):
+    sent = T0 + 2_000_000 * np.arange(5000)
+    latency = np.random.default_rng(1).gamma(2.0, 100_000, 5000).astype(int)
+    shown = sent + round(step * 1e9) * (np.arange(5000) >= 2000)
+    robot = Stream(log_time=sent + latency, publish_time=shown)
+    np.testing.assert_allclose(robot.published - sent, 0, atol=100_000)
+    (found,) = robot.clock_steps
+    assert found.step_ns == pytest.approx(step * 1e9, abs=100_000)
+    assert found.at_ns == shown[2000]
+
+
+def test_a_recorder_that_stalls_or_loses_messages_sets_no_clock():
+    sent = T0 + 2_000_000 * np.arange(5000)
+    for received in (
+        np.maximum(sent, np.where(sent < sent[2500], 0, sent[3500])),  # stopped for 2 s
+        np.maximum(sent, np.where(sent < sent[4900], 0, sent[-1])),  # and until the end
+        sent + 300_000_000 * (np.arange(5000) % 50 == 0),  # single late ones
+    ):
+        assert Stream(log_time=received + 100_000, publish_time=sent).clock_steps == ()
+    lost = np.r_[sent[:2000], sent[2100:]]
+    assert Stream(log_time=lost + 100_000, publish_time=lost).clock_steps == ()
+
+
+@pytest.mark.parametrize("step", [0.05, -0.05, 3.0])
+def test_a_step_of_the_recorders_machine_is_in_both_times(step):
+    true = T0 + 2_000_000 * np.arange(5000)
+    set_ns, later = round(step * 1e9), np.arange(5000) >= 3000
+    noted = [ClockStep(at_ns=int(true[3010]) + set_ns, step_ns=set_ns)]
+    here = Stream(
+        log_time=true + set_ns * later + 100_000,
+        publish_time=true + set_ns * later,
+        host_steps=noted,
+    )
+    away = Stream(log_time=true + set_ns * later + 100_000, publish_time=true, host_steps=noted)
+    for stream in (here, away):
+        np.testing.assert_array_equal(stream.published, true)
+        assert stream.clock_steps == ()
 
 
 def test_an_event_has_the_name_of_its_level():

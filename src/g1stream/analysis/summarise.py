@@ -77,6 +77,8 @@ _LONG_OVERRUN: Final = 0.02
 _MOST_SKIPPED: Final = 0.01
 #: Simulated time over real time. At 0.8 joints accelerate 1.6 times as hard as in the motion.
 _SLOW_SIMULATOR: Final = 0.8
+#: Time by which joints may seem to be ahead of their commands, s; feed-forward may overshoot.
+_IMPOSSIBLE: Final = 0.005
 #: A stop or jump of the robot's time by this, s, changes the controller's task.
 _STALL: Final = 0.04
 #: A recording that goes on for this long after the last reference did not just end first, ns.
@@ -185,6 +187,7 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
         longest_interval_s=float(intervals.max()) if len(intervals) else None,
         latency_us=percentiles((stream.log_time - stream.publish_time) / 1e3),
         clock_offset_s=stream.clock_offset / 1e9,
+        clock_steps=list(stream.clock_steps),
     )
 
 
@@ -264,6 +267,29 @@ def find_problems(summary: Summary) -> Iterator[str]:
                 f"The publish times of {topic} are {-stats.clock_offset_s:+.3f} s off the "
                 "recorder's clock."
             )
+        if stats.clock_steps:
+            set_by = ", ".join(f"{step.step_ns / 1e9:+.3f}" for step in stats.clock_steps)
+            yield f"The clock of the publisher of {topic} was set by {set_by} s."
+    if ahead := _ahead_of_commands(summary):
+        yield (
+            f"The joints move {ahead * 1e3:.1f} ms before their commands are sent, which is "
+            "impossible: the robot's clock is ahead of the recorder's, or the reference is wrong."
+        )
+
+
+def _ahead_of_commands(summary: Summary) -> float:
+    """Time by which the joints seem to move before their commands, s; 0 if that is possible.
+
+    A policy's targets are not the motion, so the robot may be ahead of that.
+    """
+    tracking, attached = summary.tracking, summary.attached
+    if not tracking or tracking.all_joints.delay_s is None or (attached and attached.by_robot):
+        return 0.0
+    preview = summary.stream and summary.stream.preview_s
+    if (preview is None and not attached) or (summary.settings or {}).get("stream.policy"):
+        return 0.0
+    ahead = -tracking.all_joints.delay_s - (preview or 0.0)
+    return ahead if ahead > _IMPOSSIBLE else 0.0
 
 
 def _stream_problems(stream: StreamSummary) -> Iterator[str]:

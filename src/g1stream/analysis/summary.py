@@ -17,6 +17,7 @@ from g1stream.analysis.tracking import TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
     AttachedInfo,
+    ClockStep,
     Int,
     MotionInfo,
     ParametersInfo,
@@ -128,6 +129,7 @@ class MessageStats(Record):
             simulated.
         clock_offset_s: offset to add to publish times to get the recorder's clock; 0 if no offset
             can be detected.
+        clock_steps: steps of the publisher's clock, which are taken out as well.
     """
 
     count: Int
@@ -137,6 +139,7 @@ class MessageStats(Record):
     longest_interval_s: float | None = None
     latency_us: Percentiles | None = None
     clock_offset_s: float | None = None
+    clock_steps: list[ClockStep] = []
 
 
 class Summary(Record):

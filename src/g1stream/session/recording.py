@@ -23,7 +23,7 @@ from g1stream.session.mcap_reader import RECOVER, Slices
 from g1stream.session.records import AttachedInfo, PolicyInfo, SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
-    MAX_GAP_NS,
+    LEAST_STEP_NS,
     BaseStream,
     CommandStream,
     LogEvent,
@@ -34,10 +34,9 @@ from g1stream.session.streams import (
     StreamT,
     TorsoImuStream,
     read_only,
-    without_steps,
 )
 from g1stream.text import counted
-from g1stream.types import Floats, Ints, Phase
+from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     import os
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.mcap_reader import Messages
-    from g1stream.session.records import PhaseInterval
+    from g1stream.session.records import ClockStep, PhaseInterval
     from g1stream.session.source import SessionSource
 
 __all__ = ["CONVERTED", "Message", "Recording", "has_essentials", "once", "open_recording"]
@@ -422,11 +421,11 @@ class Recording:
             ) from error
 
     @cached_property
-    def clock_steps(self) -> list[int]:
-        """Steps of the recorder's clock, ns, that are larger than any gap."""
+    def clock_steps(self) -> list[ClockStep]:
+        """Steps of the clock of the recorder's machine that change a result."""
         info, _ = read_record(SessionInfo, self.metadata)
-        steps = [step.step_ns for step in info.clock_steps] if info else []
-        return [step for step in steps if abs(step) >= MAX_GAP_NS]
+        steps = info.clock_steps if info else []
+        return [step for step in steps if abs(step.step_ns) >= LEAST_STEP_NS]
 
     @cached_property
     def start_ns(self) -> int:
@@ -511,11 +510,7 @@ class Recording:
     def _made(
         self, kind: type[StreamT], load: Callable[..., Mapping[str, NDArray[Any]]]
     ) -> StreamT:
-        def published() -> Ints:
-            return without_steps(made.publish_time, self.clock_steps) + made.clock_offset
-
-        made = kind(load, lambda: self.start_ns, published)
-        return made
+        return kind(load, lambda: self.start_ns, host_steps=self.clock_steps)
 
     def _columns(
         self, wanted: Mapping[type[Stream], Sequence[str]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
@@ -17,7 +17,7 @@ from g1stream.dds import messages
 from g1stream.errors import RecordingError
 from g1stream.events import GUARD, LOWCMD_TIMEOUT
 from g1stream.input_limits import LATEST_NS, NUMBER
-from g1stream.session.records import PhaseInterval
+from g1stream.session.records import ClockStep, PhaseInterval
 from g1stream.text import counted
 from g1stream.types import MAX_GAP_NS, Floats, Ints, Phase
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Topic
 
 __all__ = [
+    "LEAST_STEP_NS",
     "MAX_GAP_NS",
     "STREAMS",
     "ArmCommandStream",
@@ -51,6 +52,11 @@ _TIMES: Final = ("log_time", "publish_time")
 
 #: If half of the messages take longer than this, ns, the clocks differ.
 _SLOWEST_WIRE: Final = 20_000_000
+LEAST_STEP_NS: Final = 10_000_000
+"""Least step of a clock that is taken out of times."""
+
+#: Time around a step in which the clock is looked at, ns.
+_NEAR_STEP: Final = 1_000_000_000
 
 StreamT = TypeVar("StreamT", bound="Stream")
 
@@ -72,7 +78,8 @@ class Stream:
         load: reads columns by name, floats in any precision; without it there are only the
             `columns` given.
         start: tells time 0 of the motion's clock; that of this stream alone if None.
-        published: computes `published`; without it no clock was set.
+        published: computes `published`; without it, it follows from the two times.
+        host_steps: steps of the clock of the recorder's machine.
         columns: those that are known already.
 
     Attributes:
@@ -89,6 +96,7 @@ class Stream:
     _load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None
     _start: Callable[[], int] | None
     _published: Callable[[], Ints] | None
+    _host_steps: Sequence[ClockStep]
     _recorded: dict[str, NDArray[Any]]
 
     def __init__(
@@ -96,9 +104,11 @@ class Stream:
         load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None = None,
         start: Callable[[], int] | None = None,
         published: Callable[[], Ints] | None = None,
+        host_steps: Sequence[ClockStep] = (),
         **columns: NDArray[Any],
     ) -> None:
-        self.__dict__.update(columns, _load=load, _start=start, _published=published, _recorded={})
+        self.__dict__.update(columns, _load=load, _start=start, _published=published)
+        self.__dict__.update(_recorded={}, _host_steps=host_steps)
 
     @classmethod
     def wire_fields(cls) -> dict[str, str]:
@@ -208,8 +218,8 @@ class Stream:
 
     @cached_property
     def published(self) -> Ints:
-        """(N,) ns, publish times on the recorder's clock, as if that had not been set."""
-        return self._published() if self._published else self.publish_time + self.clock_offset
+        """(N,) ns, publish times on the recorder's clock, as if no clock had been set."""
+        return self._published() if self._published else self._on_one_clock[0]
 
     def _zero(self) -> int:
         return self._start() if self._start else self.start_ns
@@ -227,10 +237,29 @@ class Stream:
         to, the clocks of producer and recorder differ. The offset is then the median of log_time -
         publish_time, which is too large by the usual latency; the two cannot be separated.
         """
+        return self._on_one_clock[2]
+
+    @property
+    def clock_steps(self) -> tuple[ClockStep, ...]:
+        """Steps of the producer's clock alone, such as that of a robot, in its own time."""
+        return self._on_one_clock[1]
+
+    @cached_property
+    def _on_one_clock(self) -> tuple[Ints, tuple[ClockStep, ...], int]:
+        """`published`, `clock_steps` and `clock_offset`."""
         if not len(self):
-            return 0
-        median = int(np.median(self.log_time - self.publish_time))
-        return 0 if 0 <= median <= _SLOWEST_WIRE else median
+            return self.publish_time, (), 0
+        # Producers on the recorder's machine have its clock.
+        logged, times = (
+            without_steps(one, self._host_steps) for one in (self.log_time, self.publish_time)
+        )
+        steps = []
+        for row, step in _own_steps(logged, times):
+            steps.append(ClockStep(at_ns=int(self.publish_time[row]), step_ns=step))
+            times[row:] -= step
+        median = int(np.median(logged - times))
+        offset = 0 if 0 <= median <= _SLOWEST_WIRE else median
+        return read_only(times + offset), tuple(steps), offset
 
 
 def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
@@ -591,20 +620,47 @@ class Warnings:
         return texts
 
 
-def without_steps(times: Ints, steps: Sequence[int]) -> Ints:
+def without_steps(times: Ints, steps: Sequence[ClockStep]) -> Ints:
     """Times as if their clock had not been set.
 
     Args:
         times: (N,) ns, in the order in which they were recorded.
-        steps: by which it was set, ns. Each is taken out at the interval that is nearest to it. A
-            step after the last sample has no effect.
+        steps: by which it was set. Each is taken out at the interval that is nearest to it; one
+            that is no longer than a gap only within 1 s of its time. A step after the last sample
+            has no effect.
     """
-    times = times.copy()
+    times, total = times.copy(), 0
     for step in steps:
-        off = np.abs(np.diff(times) - step)
-        if len(off) and off.min() < abs(step) / 2:
-            times[int(off.argmin()) + 1 :] -= step
+        off = np.abs(np.diff(times) - step.step_ns).astype(np.float64)
+        if abs(step.step_ns) < MAX_GAP_NS:
+            after = times[1:] - ((step.at_ns or 0) - total)
+            off[np.abs(after) > _NEAR_STEP] = np.inf
+        if len(off) and off.min() < abs(step.step_ns) / 2:
+            times[int(off.argmin()) + 1 :] -= step.step_ns
+            total += step.step_ns
     return times
+
+
+def _own_steps(logged: Ints, published: Ints) -> Iterator[tuple[int, int]]:
+    """Steps of a producer's clock that the recorder's has not: index of the first message, and ns.
+
+    The publish times jump where messages arrive as usual, and log_time - publish_time stays at the
+    new level. Where messages are late, their log times jump.
+    """
+    arrived, sent = np.diff(logged), np.diff(published)
+    if not len(arrived):
+        return
+    usual = max(_SLOWEST_WIRE, 3 * int(np.median(arrived)))
+    jumps = np.flatnonzero(
+        (np.abs(sent - arrived) >= LEAST_STEP_NS) & (arrived >= 0) & (arrived <= usual)
+    )
+    latency = logged - published
+    for row in (jumps + 1).tolist():
+        around = _NEAR_STEP // max(1, int(np.median(arrived)))
+        before, after = latency[max(0, row - around) : row], latency[row : row + around]
+        step = int(np.median(before) - np.median(after))
+        if abs(step - (sent[row - 1] - arrived[row - 1])) < abs(step) / 3:
+            yield row, step
 
 
 class Neighbours(NamedTuple):

@@ -24,6 +24,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.motions import GAP_PERIODS, PAUSE_NS, motion_of_poses
+from g1stream.session.records import ClockStep
 from g1stream.session.source import files_of
 from g1stream.session.streams import MAX_GAP_NS, without_steps
 from g1stream.text import counted
@@ -186,8 +187,8 @@ class RecordedMotion:
         steps = _clock_steps(joints.clocks[clock], q, self._path)
         times = without_steps(joints.clocks[clock], steps)
         warnings = [
-            f"{name}: its times jump by {step / _NS_PER_S:+.3f} s, as if the clock was set; the "
-            "jump was removed"
+            f"{name}: its times jump by {step.step_ns / _NS_PER_S:+.3f} s, as if the clock was "
+            "set; the jump was removed"
             for step in steps
         ]
         if pose is not None:
@@ -415,7 +416,7 @@ def _is_pelvis(frame: str) -> bool:
     return frame.rpartition("/")[2] in _PELVIS
 
 
-def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
+def _clock_steps(times: Ints, q: Floats, path: Path) -> list[ClockStep]:
     """Steps of the clock of poses (T, 29), ns, detected where the poses continue without a jump.
 
     Raises:
@@ -431,7 +432,7 @@ def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
         goes_on = change[i] <= 3.0 * usual + _STANDS_STILL
         # A robot that moves would have moved further in a pause of the messages.
         if goes_on and (leap or usual * interval / period > 5.0 * change[i] + 2.0 * _STANDS_STILL):
-            steps.append(interval - period)
+            steps.append(ClockStep(at_ns=int(times[i + 1]), step_ns=interval - period))
         elif leap:
             raise RecordingError(
                 f"{path} was interrupted: its clock goes from {(times[i] - times[0]) / 1e9:.1f} to "

@@ -71,6 +71,7 @@ def _measured(seconds, q):
         log_time=stamps + LATENCY,
         publish_time=stamps,
         tick=np.zeros(n, dtype=np.uint32),
+        mode_pr=np.zeros(n, dtype=np.uint8),
         mode_machine=np.zeros(n, dtype=np.uint8),
         q=q,
         **{name: np.zeros_like(q) for name in ("dq", "ddq", "tau")},
@@ -168,4 +169,5 @@ def _as_command(stream, i):
 
 def _as_state(stream, i):
     _STATE.q[:], _STATE.quaternion[:] = stream.q[i], stream.imu_quat_wxyz[i]
+    _STATE.mode_pr[()] = stream.mode_pr[i]
     return _STATE.seal()

@@ -12,6 +12,7 @@ from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.control.stop import REMEDIES
 from g1stream.dds.messages import LowCmd, LowState
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import (
     RecorderSummary,
     StreamSummary,
@@ -181,6 +182,26 @@ def test_a_robot_whose_clock_is_set_in_play_is_followed_further(play, summarise,
     assert followed.rmse_rad == pytest.approx(compare(*play(0.012)).overall, rel=0.01)
     assert step.step_ns == pytest.approx(step_s * 1e9, abs=1e6)
     assert any("clock of the publisher of /lowstate" in one for one in summary.problems)
+
+
+@pytest.mark.parametrize(("since", "left_out"), [(2.0, True), (4.1, False)])
+def test_ankles_and_waist_that_are_motors_a_and_b_are_not_compared(
+    play, write_session, since, left_out
+):
+    """From within PLAY on, or after it. The robot is where it has to be, but tells its motors."""
+    reference, measured = play()
+    motors = measured.publish_time - T0 > round(1e9 * since)
+    measured.mode_pr[motors] = 1
+    for name in ("left_ankle_pitch_joint", "left_ankle_roll_joint", "waist_roll_joint"):
+        measured.q[motors, JOINT_NAMES.index(name)] += 0.55
+    session = open_session(write_session(reference, measured, METADATA))
+    missing = {*JOINT_NAMES} - {*session.summary().tracking.joints}
+    ankles = {
+        f"{side}_ankle_{axis}_joint" for side in ("left", "right") for axis in ("pitch", "roll")
+    }
+    assert missing == ((ankles | {"waist_pitch_joint", "waist_roll_joint"}) if left_out else set())
+    assert session.tracking().overall < 1e-3
+    assert any("mode_pr 1" in one for one in session.summary().problems)
 
 
 @pytest.mark.parametrize(("delay", "possible"), [(-0.012, False), (-0.003, True), (0.01, True)])

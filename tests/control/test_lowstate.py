@@ -254,6 +254,14 @@ def test_mode_machine(name, allowed):
         assert machine in allowed or it.checks.stop.kind == "robot"
 
 
+@pytest.mark.parametrize("mode_pr", [0, 1])
+def test_motors_a_and_b_are_no_joints(make, mode_pr):
+    it = make()
+    it.state.mode_pr[()] = mode_pr
+    assert it.publish() == ""
+    assert (it.checks.stop and it.checks.stop.kind) == ("robot" if mode_pr else None)
+
+
 def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
     it = make()
     it.moving = it.ticking = it.sealed = False

@@ -75,6 +75,7 @@ CASES = {
     "lost": ({"state": {"missed": 3}}, WARNING, "tick", "3 LowStates"),
     "wrong CRC": ({"state": {"crc_right": 490}}, PROBLEM, "CRC", "10 of 500"),
     "other robot": ({"state": {"mode_machine": 4}}, PROBLEM, "mode_machine", "4"),
+    "motors A and B": ({"state": {"mode_pr": 1}}, PROBLEM, "mode_pr", "A and B"),
     "no subscriber": (readers(), PROBLEM, "LowCmd", "rt/lowcmd"),
     "only a recorder": (readers(RECORDER), PROBLEM, "LowCmd", "rt/lowcmd"),
     "other publisher": (writers(STATE, SPORT, POLICY), WARNING, "LowCmd", "policy (pid 9 on here)"),

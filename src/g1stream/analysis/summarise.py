@@ -12,7 +12,7 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.analysis.summary import MessageStats, Summary, Termination, most
-from g1stream.analysis.tracking import NothingToCompareError, tracking
+from g1stream.analysis.tracking import NothingToCompareError, parallel, tracking
 from g1stream.config import Config
 from g1stream.control.lowstate import LONGEST_INTERVAL
 from g1stream.control.stop import REMEDIES
@@ -64,8 +64,8 @@ __all__ = [
 SUMMARY_COLUMNS: Final[Mapping[type[Stream], tuple[str, ...]]] = {
     **dict.fromkeys(STREAMS.values(), ("publish_time",)),
     ReferenceStream: ("motion_time", "phase", "played", "q"),
-    CommandStream: ("mode_machine",),
-    MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine", "tick"),
+    CommandStream: ("mode_machine", "mode_pr"),
+    MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine", "mode_pr", "tick"),
 }
 """The columns of a session that `summarise` reads."""
 
@@ -361,6 +361,7 @@ def _sample_problems(session: Recording) -> Iterator[str]:
     try:
         yield from _ignored_commands(session)
         yield from _invalid_attitudes(session)
+        yield from _parallel_motors(session)
     except RecordingError as error:
         yield error.cause
 
@@ -392,6 +393,16 @@ def _ignored_commands(session: Recording) -> Iterator[str]:
                     f"{share} of the commands on {kind.topic} have a wrong CRC: the robot ignores "
                     "them."
                 )
+
+
+def _parallel_motors(session: Recording) -> Iterator[str]:
+    for stream, motors in parallel(session):
+        if n := int(motors.sum()):
+            yield (
+                f"{_share(n, len(motors))} of {stream.topic} has mode_pr 1: there, the ankles and "
+                "the waist's pitch and roll are the motors A and B. In PLAY these joints are not "
+                "compared."
+            )
 
 
 def _share(n: int, of: int) -> str:

@@ -20,7 +20,7 @@ one observation, so that a lasting disturbance does not count many times (K.-Y. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -31,14 +31,16 @@ from g1stream.control.tracking_error import ErrorSums
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
 from g1stream.input_limits import NUMBER
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import AB_JOINTS, JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.recording import once
 from g1stream.session.records import Int, Record
 from g1stream.session.streams import (
     MAX_GAP_NS,
+    CommandStream,
     MeasuredStream,
     Neighbours,
     ReferenceStream,
+    Stream,
     neighbours,
 )
 from g1stream.types import Floats, Phase
@@ -62,6 +64,7 @@ __all__ = [
     "compare",
     "errors_of_run",
     "interpolated",
+    "parallel",
     "pooled",
     "rms",
     "tracking",
@@ -318,12 +321,32 @@ def tracking(session: Recording) -> Tracking:
         attached = session.attached
         delay_known = attached is None or not attached.by_robot
         if found := compare(reference, session.measured, delay_known=delay_known):
-            return found
-        reason = f"no {MeasuredStream.topic} was published in PLAY"
+            known = tuple(one for one in found.joints if one not in _no_joints(session, found))
+            if known:
+                return replace(found, joints=known)
+        reason = f"no {MeasuredStream.topic} with joints that played was published in PLAY"
     raise NothingToCompareError(
         f"{session.path} has no tracking error: {reason}.",
         "Record while a robot, or a simulator, publishes its state and a motion is streamed.",
     )
+
+
+def parallel(session: Recording) -> Iterator[tuple[Stream, NDArray[np.bool_]]]:
+    """Commands and states, and (N,) in which of them `AB_JOINTS` are the motors A and B."""
+    kinds: tuple[type[CommandStream | MeasuredStream], ...] = (CommandStream, MeasuredStream)
+    for kind in kinds:
+        if session.topics.get(kind.topic):
+            stream = session.stream(kind).read("mode_pr")
+            yield stream, stream.mode_pr == 1
+
+
+def _no_joints(session: Recording, found: Tracking) -> tuple[int, ...]:
+    """Joints whose slots in PLAY are motors A and B."""
+    first, last = found.time[[0, -1]]
+    for stream, motors in parallel(session):
+        if motors[(stream.time >= first) & (stream.time <= last)].any():
+            return AB_JOINTS
+    return ()
 
 
 def worst_joints(session: Recording, most: int) -> tuple[str, ...]:

@@ -146,7 +146,7 @@ class LowStateChecks:
             self.stop = None
         elif self._begun and (pressed := self._operator.stop_reason(buttons)):
             self.stop = Stop("operator", pressed)
-        elif wrong := self._wrong_robot():
+        elif wrong := self._wrong_robot() or self._wrong_mode(state):
             self.stop = Stop("robot", wrong)
         else:
             self.stop = self._monitor.stop(state, measured, now, target)
@@ -216,6 +216,15 @@ class LowStateChecks:
             f"the robot has mode_machine {mode}"
             + (f" ({theirs}: --robot {theirs.name})" if theirs else "")
             + f"; {', '.join(map(str, self._allowed))} may be commanded as {self._robot.joint_set}"
+        )
+
+    def _wrong_mode(self, state: LowState) -> str:
+        """Why the joints of this LowState are not those of a LowCmd, or ""."""
+        if not int(state.mode_pr):
+            return ""
+        return (
+            "the robot has mode_pr 1: its ankles and waist are motors A and B instead of pitch and "
+            "roll; only 0 is played, so end the program that has set it"
         )
 
     def _crc_is_right(self, state: LowState) -> bool:

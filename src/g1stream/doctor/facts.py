@@ -105,7 +105,8 @@ class StateFacts:
     missed: int | None = None  # lost samples by ticks; None without g1stream's bridge
     crc_right: int = 0
     crc_zero: int = 0
-    mode_machine: int = 0  # of the last LowState, like the next two fields
+    mode_machine: int = 0  # of the last LowState, like the next three fields
+    mode_pr: int = 0
     has_rpy: bool = False
     has_motor_modes: bool = False
 

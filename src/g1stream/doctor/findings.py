@@ -306,6 +306,15 @@ def _states(facts: Facts) -> Iterator[Finding]:
         (_OK, mode in facts.allowed_robots, told, ""),
         (_PROBLEM, True, other, f"Use --robot {kind.name}." if kind else allow),
     )
+    yield from _first(
+        "mode_pr",
+        (
+            _PROBLEM,
+            state.mode_pr == 1,
+            "1: ankles and waist are motors A and B, not pitch and roll, so nothing is played",
+            "End the program that has set it, or restart the robot.",
+        ),
+    )
 
 
 def _base(wire: WireFacts) -> list[Finding]:

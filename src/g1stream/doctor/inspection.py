@@ -95,6 +95,7 @@ def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
         crc_right=right,
         crc_zero=zero,
         mode_machine=int(message.mode_machine),
+        mode_pr=int(message.mode_pr),
         has_rpy=bool(message.rpy.any()),
         has_motor_modes=bool(message.motor_mode.any()),
     )

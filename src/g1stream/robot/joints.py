@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 N = TypeVar("N", int, float)
 
 __all__ = [
+    "AB_JOINTS",
     "ARMATURE",
     "DAMPING",
     "EXAMPLE_KD",
@@ -81,6 +82,14 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 
 LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
 """Number of leg joints, which are the first ones."""
+
+AB_JOINTS: Final = tuple(
+    JOINT_NAMES.index(f"{name}_joint")
+    for part in ("left_ankle", "right_ankle", "waist")
+    for name in (f"{part}_pitch", f"{part}_roll")
+)
+"""Indices of ankles and waist, whose slots are the motors A and B, not pitch and roll, where
+mode_pr is 1."""
 
 _OTHER_SIDE: Final = {"left": "right", "right": "left"}
 MIRRORED_JOINT: Final = np.array(

@@ -424,6 +424,7 @@ class CommandStream(Stream):
     """The commands to the motors.
 
     Attributes:
+        mode_pr: (N,) 1 if `AB_JOINTS` are the motors A and B, 0 for pitch and roll.
         mode_machine: (N,) the kind of G1 that it is for.
         mode: (N, 29) 1 for a motor that is enabled.
         q, dq, tau: (N, 29) targets: rad, rad/s, N·m.
@@ -436,6 +437,7 @@ class CommandStream(Stream):
         {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
     )
 
+    mode_pr: NDArray[np.uint8]
     mode_machine: NDArray[np.uint8]
     mode: NDArray[np.uint8]
     q: Floats
@@ -459,6 +461,7 @@ class MeasuredStream(Stream):
 
     Attributes:
         tick: (N,) the robot's own clock, ms; always 0 from some simulators.
+        mode_pr: (N,) as of `CommandStream`.
         mode_machine: (N,) the kind of G1 that it is.
         q, dq, ddq, tau: (N, 29) rad, rad/s, rad/s^2, N·m, motor order.
         imu_quat_wxyz: (N, 4) pelvis to world, with the yaw as the IMU counts it.
@@ -481,6 +484,7 @@ class MeasuredStream(Stream):
     )
 
     tick: NDArray[np.uint32]
+    mode_pr: NDArray[np.uint8]
     mode_machine: NDArray[np.uint8]
     q: Floats
     dq: Floats

@@ -24,7 +24,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from g1stream.dds.layout import CDR_HEADER, members
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.optional import extension
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ __all__ = [
     "CHANNELS",
     "CHANNEL_OF",
     "METADATA_NAME",
-    "POLICY_FIELDS",
     "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
@@ -49,9 +48,9 @@ __all__ = [
 TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
 """Fields of /timing/*: longest interval between publish times, and longest latency to log time."""
 
-POLICY_FIELDS: Final = ("step", "repeated", "inference_ms", "state_age_ms", "delay_ms")
-"""Fields of /policy/terms in addition to observation and action. The delay is from the publish
-time of the observed LowState to that of the command."""
+#: Fields with ns since the epoch, which are one uint64 on the wire and in the schema two words, the
+#: lower one first. No double holds such a number, so PlotJuggler would refuse the whole file.
+_STAMPS: Final = ("state_published", "state_received")
 
 METADATA_NAME: Final = "g1stream"
 """The name of the first metadata record. Later ones end in `.2`, `.3` and so on.
@@ -174,7 +173,8 @@ def _ros2_fields(idl_type: Any) -> str:
         if name == "phase":  # viewers show constants before a field as names of its values
             lines += [f"uint8 {phase.name}={phase.value}\n" for phase in Phase]
         size = "" if length is None else f"[{length}]"
-        lines.append(f"{_ros2_type(element)}{size} {name}\n")
+        kind = "uint32[2]" if name in _STAMPS else f"{_ros2_type(element)}{size}"
+        lines.append(f"{kind} {name}\n")
     return "".join(lines)
 
 
@@ -197,21 +197,16 @@ def _nested_structs(idl_type: Any) -> list[Any]:
 
 
 def _timing(topic: str, description: str) -> Channel:
-    properties = {name: {"type": "number"} for name in TIMING_FIELDS}
-    schema = json.dumps({"type": "object", "properties": properties}).encode()
-    return Channel(topic, "g1stream.Timing", "jsonschema", "json", description, lambda: schema)
+    schema = "".join(f"float64 {name}\n" for name in TIMING_FIELDS).encode()
+    return Channel(topic, "g1stream/msg/Timing", "ros2msg", "cdr", description, lambda: schema)
 
 
 def _policy(topic: str, description: str) -> Channel:
-    numbers = {"type": "array", "items": {"type": "number"}}
-    properties: dict[str, Any] = {name: {"type": "number"} for name in POLICY_FIELDS}
-    properties["observation"] = {"type": "object", "additionalProperties": numbers}
-    properties["action"] = {
-        "type": "object",
-        "properties": {name: {"type": "number"} for name in JOINT_NAMES},
-    }
-    schema = json.dumps({"type": "object", "properties": properties}).encode()
-    return Channel(topic, "g1stream.PolicyTerms", "jsonschema", "json", description, lambda: schema)
+    def build() -> bytes:
+        schema: bytes = extension("policy_terms_schema")()
+        return schema
+
+    return Channel(topic, "g1stream/msg/PolicyTerms", "ros2msg", "cdr", description, build)
 
 
 _ALL: Final = (

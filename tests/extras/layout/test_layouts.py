@@ -1,4 +1,3 @@
-import json
 import re
 from typing import Any
 from xml.etree import ElementTree
@@ -39,9 +38,7 @@ def decoded(session, tmp_path_factory) -> dict[str, list[Any]]:
         reader = make_reader(file, decoder_factories=factories)
         for schema, channel, message in reader.iter_messages():
             messages = found.setdefault(channel.topic, [])
-            if channel.message_encoding == "json":
-                messages.append(json.loads(message.data))
-            elif len(messages) < 50:
+            if len(messages) < 50:
                 made = (one.decoder_for(channel.message_encoding, schema) for one in factories)
                 messages.append(next(filter(None, made))(message.data))
     return found
@@ -80,10 +77,10 @@ def test_every_series_is_in_the_messages(session, decoded):
         if name:
             (one,) = (joint for joint in decoded[topic][0].joints if joint.name == name)
             assert one.HasField(field)
-        elif isinstance(decoded[topic][0], dict):
-            assert any(field in message for message in decoded[topic])
+        elif field == "phase":
+            assert decoded[topic][0].phase == 1  # RAMP
         else:
-            assert getattr(decoded[topic][0], field) == 1  # RAMP
+            assert hasattr(decoded[topic][0], field)
     robot = G1.default()
     expected = {
         sign * robot.torque_limit[JOINT_NAMES.index(joint)]

@@ -1,6 +1,5 @@
 import re
 from typing import Any
-from xml.etree import ElementTree
 
 import pytest
 from mcap.reader import make_reader
@@ -10,11 +9,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 import g1stream
 from g1stream.analysis.tracking import worst_joints
 from g1stream.config import Config
-from g1stream.extras.layout.layouts import (
-    DEFAULT_JOINTS,
-    foxglove_layout,
-    plotjuggler_layout,
-)
+from g1stream.extras.layout.foxglove import DEFAULT_JOINTS, foxglove_layout
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.model import G1
 
@@ -112,14 +107,3 @@ def test_the_worst_joints_come_first(session):
     assert rmse[worst[0]] == rmse.max()
     assert (rmse >= rmse[worst[-1]]).sum() == 6
     assert worst_joints(session.sel(phase="RAMP"), 6) == ()
-
-
-def test_plotjugglers_curves_are_named_by_joint():
-    root = ElementTree.fromstring(plotjuggler_layout(DEFAULT_JOINTS))
-    names = {curve.get("name") for curve in root.iter("curve")}
-    assert names == {
-        f"/{which}/joint_states/{joint}/{field}"
-        for which in ("reference", "measured")
-        for joint in DEFAULT_JOINTS
-        for field in ("position", "effort")
-    }

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CHANNELS",
     "CHANNEL_OF",
+    "ERROR_FIELDS",
     "METADATA_NAME",
     "TIMING_FIELDS",
     "Channel",
@@ -44,6 +45,9 @@ __all__ = [
     "metadata_from_strings",
     "metadata_to_strings",
 ]
+
+ERROR_FIELDS: Final = ("position", "velocity")
+"""Fields of /tracking_error/*, the first ones of a foxglove.JointState after its name."""
 
 TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
 """Fields of /timing/*: longest interval between publish times, and longest latency to log time."""
@@ -147,11 +151,25 @@ def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
     return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
 
 
-def _protobuf_schema(message_class: type[Message]) -> bytes:
-    """A serialised FileDescriptorSet of a message and its imports, with the imports first."""
+def _tracking_error(topic: str, description: str) -> Channel:
+    build = partial(_protobuf_schema, JointStates, n_fields=len(ERROR_FIELDS))
+    return replace(_foxglove(topic, JointStates, description), build_schema=build)
+
+
+def _protobuf_schema(message_class: type[Message], n_fields: int | None = None) -> bytes:
+    """A serialised FileDescriptorSet of a message and its imports, with the imports first.
+
+    With `n_fields`, a joint has no more optional fields than these, because PlotJuggler draws every
+    field of the schema, and those that are not set as zeros.
+    """
     from mcap_protobuf.schema import build_file_descriptor_set  # imports mcap's writer: 30 ms
 
-    schema: bytes = build_file_descriptor_set(message_class).SerializeToString()
+    files = build_file_descriptor_set(message_class)
+    for message in (message for file in files.file for message in file.message_type):
+        if message.name == "JointState" and n_fields is not None:
+            del message.field[1 + n_fields :]  # the first one is the name
+            del message.oneof_decl[n_fields:]  # one for each optional field
+    schema: bytes = files.SerializeToString()
     return schema
 
 
@@ -222,12 +240,8 @@ _ALL: Final = (
         JointStates,
         "joints of a simulated robot with the recorded commands",
     ),
-    _foxglove(
-        "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
-    ),
-    _foxglove(
-        "/tracking_error/limbs", JointStates, "RMS of the tracking error over each limb's joints"
-    ),
+    _tracking_error("/tracking_error/joint_states", "reference minus measured, at each LowState"),
+    _tracking_error("/tracking_error/limbs", "RMS of the tracking error over each limb's joints"),
     _timing("/timing/commands", "longest interval and latency of commands, by spans of 0.05 s"),
     _timing("/timing/states", "longest interval and latency of LowStates, by spans of 0.05 s"),
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),

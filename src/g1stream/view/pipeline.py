@@ -24,7 +24,7 @@ from g1stream.errors import ConfigError
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import MessageBatch, encode_string
+from g1stream.session.format import ERROR_FIELDS, MessageBatch, encode_string
 from g1stream.session.streams import MAX_GAP_NS, neighbours
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
@@ -303,14 +303,13 @@ class _Errors:
     """Encoder of /tracking_error/joint_states and /tracking_error/limbs."""
 
     def __init__(self, joint_names: Sequence[str], rate: float, *, every: bool) -> None:
-        fields = _FIELDS[:2]
         self._few = Decimator(rate)
         self._error = TrackingError(len(joint_names))
         self._joints = _JointStates(
-            "/tracking_error/joint_states", joint_names, fields, every=every
+            "/tracking_error/joint_states", joint_names, ERROR_FIELDS, every=every
         )
         self._limbs = _JointStates(
-            "/tracking_error/limbs", tuple(JOINT_GROUPS), fields, every=False
+            "/tracking_error/limbs", tuple(JOINT_GROUPS), ERROR_FIELDS, every=False
         )
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:

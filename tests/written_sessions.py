@@ -7,11 +7,21 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap.reader import make_reader
+from mcap.records import Schema
 from mcap_protobuf.writer import Writer as ProtobufWriter
+from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.format import encode_log
+from g1stream.session.format import CHANNELS, encode_log
 from g1stream.session.writer import SessionWriter
+
+
+def decoded(topic, data):
+    """A message of a channel in CDR, by another's decoder from the channel's own schema."""
+    channel = CHANNELS[topic]
+    schema = Schema(1, channel.build_schema(), channel.schema_encoding, channel.schema_name)
+    return Ros2DecoderFactory().decoder_for(channel.message_encoding, schema)(bytes(data))
+
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000

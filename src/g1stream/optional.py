@@ -33,6 +33,8 @@ EXTENSIONS: Final = {
     "read_log": "g1stream.extras.ros2.bag_reader:BagSource",
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
+    "policy_terms": "g1stream.extras.policy.terms:encode",
+    "policy_terms_schema": "g1stream.extras.policy.terms:schema",
     "write_motion": "g1stream.extras.formats.write:write_motion",
     "scene_meshes": "g1stream.extras.meshes.scene:SceneMeshes",
     "render": "g1stream.extras.video.render:render",

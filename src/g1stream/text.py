@@ -10,7 +10,17 @@ from g1stream.input_limits import TEXT
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-__all__ = ["WIDTH", "counted", "labelled", "listed", "printable", "ranges", "short_name", "table"]
+__all__ = [
+    "WIDTH",
+    "counted",
+    "labelled",
+    "listed",
+    "printable",
+    "ranges",
+    "short_name",
+    "table",
+    "told_apart",
+]
 
 WIDTH: Final = 80
 """Maximum width of a line in columns; only a single word may be longer."""
@@ -26,6 +36,15 @@ def printable(text: str) -> str:
 def counted(n: int, noun: str) -> str:
     """A number with its noun: `1 tick`, `2 ticks`."""
     return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def told_apart(value: float, limit: float) -> tuple[str, str]:
+    """Two numbers with three decimals, or as many more as show that they differ."""
+    for digits in range(3, 17):
+        texts = f"{value:.{digits}f}", f"{limit:.{digits}f}"
+        if value == limit or texts[0] != texts[1]:
+            break
+    return texts
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:

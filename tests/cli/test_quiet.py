@@ -7,7 +7,7 @@ import pytest
 
 from g1stream.cli import main as program
 from g1stream.cli.command import (
-    QuietFlag,
+    Command,
     announce_wire,
     print_json,
     print_lines,
@@ -17,12 +17,13 @@ from g1stream.cli.command import (
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.config import Config
+from g1stream.doctor.facts import ok, warning
 from g1stream.errors import ConfigError
 from g1stream.events import QUIET, ConsoleHandler, handled_by, is_quiet
 
 
 @dataclass(frozen=True, kw_only=True)
-class Talkative(QuietFlag):
+class Talkative(Command):
     """A command that says all that commands say."""
 
     json: bool = flag(False, "JSON.")
@@ -75,6 +76,17 @@ def test_warnings_and_errors_stay(talk, name):
     for hidden in ("a note", "domain 1 on lo.", "progress"):
         assert hidden not in err
     assert QUIET not in os.environ
+
+
+def test_doctor_prints_what_is_not_in_order(monkeypatch, capsys):
+    findings = [ok("one", "is in order"), warning("another", "is not", "Mend it.")]
+    monkeypatch.setattr("g1stream.doctor.inspection.diagnose", lambda *_: findings)
+    assert program.main(["doctor", "-q"]) == 1
+    printed = capsys.readouterr()
+    assert (printed.out, "another" in printed.err, "one " in printed.err) == ("", True, False)
+    findings.pop()
+    assert program.main(["doctor", "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("before", ["", "1"])

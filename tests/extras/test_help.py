@@ -1,12 +1,13 @@
 import os
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from cli_help import check_help
-from g1stream.cli.main import COMMANDS
+from g1stream.cli.main import COMMANDS, load_command
 
 CORE_ALONE = Path(__file__).parents[1] / "core_alone"
 OF_EXTRAS = {name: row for name, row in COMMANDS.items() if row.home.startswith("extras.")}
@@ -15,6 +16,12 @@ OF_EXTRAS = {name: row for name, row in COMMANDS.items() if row.home.startswith(
 @pytest.mark.parametrize("command", OF_EXTRAS)
 def test_help_has_examples_and_exit_codes_within_80_columns(command, monkeypatch, capsys):
     check_help(command, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_takes_quiet(command):
+    (quiet,) = (one for one in fields(load_command(command)) if one.name == "quiet")
+    assert quiet.default is False
 
 
 def test_a_missing_extra_is_named_with_the_command_that_installs_it():

@@ -202,9 +202,10 @@ class Session(Recording):
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write the session, such as a rollout or a selected part, to one MCAP file.
 
-        Messages on g1stream's own topics are written byte for byte, with log and publish times. The
-        metadata and attachments are those of the whole session. A part also has the shapes and the
-        description of the robot, which were published before it, at the start of the part.
+        Messages on g1stream's own topics are written byte for byte, with log and publish times.
+        Those for viewers are left out where a bag or an earlier version has them in another type.
+        The metadata and attachments are those of the whole session. A part also has the shapes and
+        the description of the robot, which were published before it, at the start of the part.
 
         Args:
             path: file to write; its directory must exist.
@@ -214,7 +215,8 @@ class Session(Recording):
             RecordingError: the file cannot be written, or the selected part is empty.
         """
         path, whole = Path(path), Session(self.source)
-        topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in CHANNELS]
+        own = CHANNELS.keys() - self.source.foreign
+        topics = [topic for topic, n in sorted(self.topics.items()) if n and topic in own]
         before = {topic for topic in topics if self.selected and CHANNELS[topic].latched}
         rounds = self.rounds(topic for topic in topics if topic not in before)
         first = next(rounds, {})

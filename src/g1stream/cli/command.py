@@ -46,26 +46,21 @@ _HANDLED = tuple(
 class Command:
     """A subcommand and its flags."""
 
-    def run(self) -> int:
-        """Run the command, and return the exit code."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuietFlag(Command):
-    """The flag --quiet, of commands that print progress and a summary."""
-
     quiet: bool = flag(
         False,
         "Print only warnings, errors, and the output of --json.",
         aliases=("-q",),
     )
 
+    def run(self) -> int:
+        """Run the command, and return the exit code."""
+        raise NotImplementedError
+
 
 @contextmanager
 def quietly(command: Command) -> Iterator[None]:
     """Suppress all output that --quiet excludes, for the length of a `with`."""
-    if not getattr(command, "quiet", False):
+    if not command.quiet:
         yield
         return
     before = os.environ.get(QUIET)
@@ -121,7 +116,7 @@ class SettingsCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveCommand(SettingsCommand, QuietFlag):
+class LiveCommand(SettingsCommand):
     """A subcommand that can serve live data to a viewer."""
 
     # --live takes no port, because `stream --live dance.csv` would read the motion as its value.

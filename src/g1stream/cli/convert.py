@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_SIGNAL,
-    QuietFlag,
     on_signals,
     print_json,
     print_lines,
@@ -51,7 +50,7 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(MotionPartFlags, QuietFlag):
+class Convert(MotionPartFlags):
     """Needs no robot, no simulator and no DDS. Nothing is written if it fails.
 
     Log time and publish time of every message are the base time + frame / fps, rounded to the

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from g1stream.cli.command import SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import flag
+from g1stream.events import is_quiet
 from g1stream.text import labelled
 
 if TYPE_CHECKING:
@@ -42,8 +44,10 @@ class Doctor(SettingsCommand):
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
             print_json([one.model_dump(mode="json") for one in findings])
-        else:
+        elif not is_quiet():
             print_lines(render(findings))
+        elif serious := [one for one in findings if one.level]:
+            print_lines(render(serious), sys.stderr)
         return max(one.level for one in findings)
 
 

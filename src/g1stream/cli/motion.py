@@ -16,7 +16,7 @@ from g1stream.cli.command import (
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
 from g1stream.robot.joints import N_JOINTS
-from g1stream.text import counted, labelled, listed
+from g1stream.text import counted, labelled, listed, told_apart
 
 if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
@@ -163,11 +163,13 @@ def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
     """Each problem and each warning, then their number."""
     streamed = report.streamed
     n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
-    problems = [
-        f"{joint.joint} is at {joint.value:.3f} rad in frame {joint.time * report.fps:.0f}, "
-        f"limit {joint.limit:.3f} ({counted(joint.count, 'frame')} beyond it)"
-        for joint in report.frames_beyond
-    ]
+    problems = []
+    for joint in report.frames_beyond:
+        value, limit = told_apart(joint.value, joint.limit)
+        problems.append(
+            f"{joint.joint} is at {value} rad in frame {joint.time * report.fps:.0f}, "
+            f"limit {limit} ({counted(joint.count, 'frame')} beyond it)"
+        )
     problems += streamed.warnings[n_held:]
     warnings = [*streamed.warnings[:n_held], *report.warnings]
     if report.dropped and report.dropped.moved:

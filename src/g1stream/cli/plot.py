@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, QuietFlag
+from g1stream.cli.command import EXIT_OK
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.session_flags import SessionFlags
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plot(SessionFlags, QuietFlag):
+class Plot(SessionFlags):
     """By default it plots the joints that move most, the error over time and the RMSE of each
     joint. With --joints or --what it plots a row for each joint and a column for each quantity.
 

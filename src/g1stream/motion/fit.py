@@ -13,7 +13,7 @@ from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.check import MotionReport, check_motion, dropped_joints
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
-from g1stream.text import listed
+from g1stream.text import listed, told_apart
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -157,9 +157,10 @@ def _of_played(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Motion:
 def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
     if report.frames_beyond:
         worst, others = report.frames_beyond[0], report.frames_beyond[1:]
+        value, limit = told_apart(worst.value, worst.limit)
         cause = (
-            f"{report.name} has {worst.joint} at {worst.value:.3f} rad in frame "
-            f"{worst.time * report.fps:.0f}, limit {worst.limit:.3f}"
+            f"{report.name} has {worst.joint} at {value} rad in frame "
+            f"{worst.time * report.fps:.0f}, limit {limit}"
         )
     else:
         worst, others = report.streamed.too_fast[0], report.streamed.too_fast[1:]

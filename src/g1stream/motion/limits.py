@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.text import counted, listed
+from g1stream.text import counted, listed, told_apart
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -121,9 +121,10 @@ class LimitReport:
         if self.held:
             worst = self.held[0]
             margin = f" less a margin of {self.position_margin:g}" if self.position_margin else ""
+            value, limit = told_apart(worst.value, worst.limit)
             warnings.append(
-                f"{self.motion} moves {worst.joint} to {worst.value:.3f} rad "
-                f"{self._when(worst.time)}, limit {worst.limit:.3f}{margin}{_others(self.held)}. "
+                f"{self.motion} moves {worst.joint} to {value} rad "
+                f"{self._when(worst.time)}, limit {limit}{margin}{_others(self.held)}. "
                 f"{counted(self.n_held, 'joint target')} at {self.rate:g} Hz clamped to the limit."
             )
         if self.too_fast:

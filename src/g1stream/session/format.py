@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -24,7 +24,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from g1stream.dds.layout import CDR_HEADER, members
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.optional import extension
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 __all__ = [
     "CHANNELS",
     "CHANNEL_OF",
+    "ERROR_FIELDS",
     "METADATA_NAME",
-    "POLICY_FIELDS",
     "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
@@ -46,12 +46,15 @@ __all__ = [
     "metadata_to_strings",
 ]
 
+ERROR_FIELDS: Final = ("position", "velocity")
+"""Fields of /tracking_error/*, the first ones of a foxglove.JointState after its name."""
+
 TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
 """Fields of /timing/*: longest interval between publish times, and longest latency to log time."""
 
-POLICY_FIELDS: Final = ("step", "repeated", "inference_ms", "state_age_ms", "delay_ms")
-"""Fields of /policy/terms in addition to observation and action. The delay is from the publish
-time of the observed LowState to that of the command."""
+#: Fields with ns since the epoch, which are one uint64 on the wire and in the schema two words, the
+#: lower one first. No double holds such a number, so PlotJuggler would refuse the whole file.
+_STAMPS: Final = ("state_published", "state_received")
 
 METADATA_NAME: Final = "g1stream"
 """The name of the first metadata record. Later ones end in `.2`, `.3` and so on.
@@ -148,11 +151,25 @@ def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
     return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
 
 
-def _protobuf_schema(message_class: type[Message]) -> bytes:
-    """A serialised FileDescriptorSet of a message and its imports, with the imports first."""
+def _tracking_error(topic: str, description: str) -> Channel:
+    build = partial(_protobuf_schema, JointStates, n_fields=len(ERROR_FIELDS))
+    return replace(_foxglove(topic, JointStates, description), build_schema=build)
+
+
+def _protobuf_schema(message_class: type[Message], n_fields: int | None = None) -> bytes:
+    """A serialised FileDescriptorSet of a message and its imports, with the imports first.
+
+    With `n_fields`, a joint has no more optional fields than these, because PlotJuggler draws every
+    field of the schema, and those that are not set as zeros.
+    """
     from mcap_protobuf.schema import build_file_descriptor_set  # imports mcap's writer: 30 ms
 
-    schema: bytes = build_file_descriptor_set(message_class).SerializeToString()
+    files = build_file_descriptor_set(message_class)
+    for message in (message for file in files.file for message in file.message_type):
+        if message.name == "JointState" and n_fields is not None:
+            del message.field[1 + n_fields :]  # the first one is the name
+            del message.oneof_decl[n_fields:]  # one for each optional field
+    schema: bytes = files.SerializeToString()
     return schema
 
 
@@ -174,7 +191,8 @@ def _ros2_fields(idl_type: Any) -> str:
         if name == "phase":  # viewers show constants before a field as names of its values
             lines += [f"uint8 {phase.name}={phase.value}\n" for phase in Phase]
         size = "" if length is None else f"[{length}]"
-        lines.append(f"{_ros2_type(element)}{size} {name}\n")
+        kind = "uint32[2]" if name in _STAMPS else f"{_ros2_type(element)}{size}"
+        lines.append(f"{kind} {name}\n")
     return "".join(lines)
 
 
@@ -197,21 +215,16 @@ def _nested_structs(idl_type: Any) -> list[Any]:
 
 
 def _timing(topic: str, description: str) -> Channel:
-    properties = {name: {"type": "number"} for name in TIMING_FIELDS}
-    schema = json.dumps({"type": "object", "properties": properties}).encode()
-    return Channel(topic, "g1stream.Timing", "jsonschema", "json", description, lambda: schema)
+    schema = "".join(f"float64 {name}\n" for name in TIMING_FIELDS).encode()
+    return Channel(topic, "g1stream/msg/Timing", "ros2msg", "cdr", description, lambda: schema)
 
 
 def _policy(topic: str, description: str) -> Channel:
-    numbers = {"type": "array", "items": {"type": "number"}}
-    properties: dict[str, Any] = {name: {"type": "number"} for name in POLICY_FIELDS}
-    properties["observation"] = {"type": "object", "additionalProperties": numbers}
-    properties["action"] = {
-        "type": "object",
-        "properties": {name: {"type": "number"} for name in JOINT_NAMES},
-    }
-    schema = json.dumps({"type": "object", "properties": properties}).encode()
-    return Channel(topic, "g1stream.PolicyTerms", "jsonschema", "json", description, lambda: schema)
+    def build() -> bytes:
+        schema: bytes = extension("policy_terms_schema")()
+        return schema
+
+    return Channel(topic, "g1stream/msg/PolicyTerms", "ros2msg", "cdr", description, build)
 
 
 _ALL: Final = (
@@ -227,12 +240,8 @@ _ALL: Final = (
         JointStates,
         "joints of a simulated robot with the recorded commands",
     ),
-    _foxglove(
-        "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
-    ),
-    _foxglove(
-        "/tracking_error/limbs", JointStates, "RMS of the tracking error over each limb's joints"
-    ),
+    _tracking_error("/tracking_error/joint_states", "reference minus measured, at each LowState"),
+    _tracking_error("/tracking_error/limbs", "RMS of the tracking error over each limb's joints"),
     _timing("/timing/commands", "longest interval and latency of commands, by spans of 0.05 s"),
     _timing("/timing/states", "longest interval and latency of LowStates, by spans of 0.05 s"),
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),

@@ -113,6 +113,8 @@ class SessionSource(ABC):
         path: the file or directory; for a session in memory only a name for error messages.
         paths: the files that it was read from, oldest first; empty in memory.
         topics: number of messages by topic.
+        foreign: topics of channels for viewers with messages of another type, such as those of a
+            bag, or of an earlier version.
         metadata: the values of all metadata records; a later one replaces an earlier one.
         complete: whether its recorder closed it.
         unread: bytes at the ends of files that are incomplete records.
@@ -122,6 +124,7 @@ class SessionSource(ABC):
         self.path = path
         self.paths: list[Path] = []
         self.topics: dict[str, int] = {}
+        self.foreign: set[str] = set()
         self.metadata: dict[str, Any] = {}
         self.complete = True
         self.unread = 0
@@ -163,6 +166,11 @@ class FilesSource(SessionSource):
         self._names = _session_topics(counts)
         self.topics = {topic: counts[name] for topic, name in self._names.items()}
         self.unread = sum(file.unread for file in files)
+        kinds = {name: kind for file in files for name, kind in file.types.items()}
+        for topic in CHANNELS.keys() & self._names.keys():
+            one = CHANNELS[topic]
+            if not one.dds_topic and kinds[topic] != (one.schema_name, one.message_encoding):
+                self.foreign.add(topic)
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics in batches, in the order of the files."""
@@ -286,6 +294,7 @@ class ExtendedSource(SessionSource):
         self._source, self._added = source, added
         self.paths, self.complete, self.unread = source.paths, source.complete, source.unread
         self.topics = source.topics | added.topics
+        self.foreign = source.foreign
         self.metadata = source.metadata | added.metadata
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:

@@ -5,14 +5,13 @@ It needs no DDS participant. The recorder writes the samples themselves.
 
 from __future__ import annotations
 
-import json
-import math
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from g1stream.config import RecordConfig
+from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import (
     LOWSTATE,
     POLICY,
@@ -22,10 +21,11 @@ from g1stream.dds.messages import (
     played_joints,
 )
 from g1stream.errors import ConfigError
+from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import POLICY_FIELDS, TIMING_FIELDS, MessageBatch, encode_string
-from g1stream.session.streams import MAX_GAP_NS, delays_of_steps, neighbours
+from g1stream.session.format import ERROR_FIELDS, MessageBatch, encode_string
+from g1stream.session.streams import MAX_GAP_NS, neighbours
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
     GHOST_PREFIX,
@@ -55,8 +55,6 @@ _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
 #: Duration of the path of the pelvis, s, and its points and messages per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
 _FIELDS: Final = ("position", "velocity", "acceleration", "effort")
-#: Decimals of the numbers in /policy/terms.
-_DECIMALS: Final = 5
 #: Maximum wait of a state for the next reference, ns.
 _MAX_WAIT_NS: Final = 1_000_000_000
 #: Interval of publish times for one message of /timing/*, ns.
@@ -94,10 +92,10 @@ class MessagePipeline:
                 "Meshes are for viewers, but the channels raw have no messages for viewers.",
                 "Remove --meshes, or record with --channels standard.",
             )
-        self._robot = robot
+        self._robot, self._policy = robot, policy
         self._meshes = None if raw else meshes_of(robot, simplified=settings.meshes)
         self.base = None if raw else MeasuredBase()
-        self._encoders = _encoders(robot, self.base, settings, policy) if self.base else ()
+        self._encoders = _encoders(robot, self.base, settings) if self.base else ()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """Messages at the start of a file: scenes of the robots, and the measured robot's URDF.
@@ -142,11 +140,13 @@ class MessagePipeline:
             self.base.add_positions(position.published, position["position"])
         if state := samples.get(LOWSTATE.name):
             self.base.add_states(state.published, state["imu_state.quaternion"])
-        made = (messages for one in self._encoders for messages in one.encode(samples))
+        made = [messages for one in self._encoders for messages in one.encode(samples)]
+        if POLICY.name in batches:
+            made.append(extension("policy_terms")(batches[POLICY.name], self._policy))
         return [messages for messages in made if len(messages.payloads)]
 
 
-_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE, POLICY)}
+_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE)}
 
 
 class _Decoded:
@@ -163,11 +163,6 @@ class _Decoded:
         return self._fields[field]
 
     @property
-    def delay(self) -> Floats:
-        """(T,) delay of a policy's steps after the publish times of their states, s; or nan."""
-        return delays_of_steps(self.published, self._samples["state_published"])
-
-    @property
     def played(self) -> NDArray[np.bool_]:
         """(29,) the joints that play the motion in any of the references."""
         return played_joints(np.bitwise_or.reduce(self._samples["played"]))
@@ -180,9 +175,7 @@ class _Encoder(Protocol):
         """Make the messages of one round, from its samples by DDS topic name."""
 
 
-def _encoders(
-    robot: G1, base: MeasuredBase, settings: RecordConfig, policy: PolicyInfo | None
-) -> tuple[_Encoder, ...]:
+def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_Encoder, ...]:
     rate, every = settings.tf_rate, settings.channels == "full"
     return (
         _References(robot, rate, every=every),
@@ -191,7 +184,6 @@ def _encoders(
         _Timing("/timing/commands", REFERENCE.name),
         _Timing("/timing/states", LOWSTATE.name),
         _Errors(robot.joint_names, rate, every=every),
-        _PolicyTerms(robot.joint_names, policy.newest if policy else {}),
     )
 
 
@@ -303,8 +295,7 @@ class _Timing:
         intervals = np.diff(published, prepend=previous)
         values = np.stack([intervals, logged - published], axis=-1) / 1e6
         longest = np.maximum.reduceat(values, starts)
-        rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
-        payloads = [json.dumps(row).encode() for row in rows]
+        payloads = [CDR_HEADER + row.tobytes() for row in longest]
         return [MessageBatch(self._topic, payloads, logged[starts], published[starts])]
 
 
@@ -312,14 +303,13 @@ class _Errors:
     """Encoder of /tracking_error/joint_states and /tracking_error/limbs."""
 
     def __init__(self, joint_names: Sequence[str], rate: float, *, every: bool) -> None:
-        fields = _FIELDS[:2]
         self._few = Decimator(rate)
         self._error = TrackingError(len(joint_names))
         self._joints = _JointStates(
-            "/tracking_error/joint_states", joint_names, fields, every=every
+            "/tracking_error/joint_states", joint_names, ERROR_FIELDS, every=every
         )
         self._limbs = _JointStates(
-            "/tracking_error/limbs", tuple(JOINT_GROUPS), fields, every=False
+            "/tracking_error/limbs", tuple(JOINT_GROUPS), ERROR_FIELDS, every=False
         )
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
@@ -337,45 +327,6 @@ class _Errors:
             self._joints.encode(times, logged, few, errors.q, errors.dq),
             self._limbs.encode(times, logged, few, *limbs),
         ]
-
-
-class _PolicyTerms:
-    """Encoder of /policy/terms, the steps of a policy by the names of its terms and joints.
-
-    `columns` has the columns of each term, of the newest step alone. Without it, the whole
-    observation is one term, `values`.
-    """
-
-    def __init__(self, joint_names: Sequence[str], columns: Mapping[str, slice]) -> None:
-        self._joint_names, self._columns = joint_names, columns
-
-    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
-        if (found := samples.get(POLICY.name)) is None:
-            return []
-        numbers = (
-            found["step"],
-            found["repeated"],
-            found["inference_time"] * 1e3,
-            found["state_age"] * 1e3,
-            found.delay * 1e3,
-        )
-        payloads = []
-        for i, n in enumerate(found["n_observation"].astype(int).tolist()):
-            columns = self._columns or {"values": slice(0, n)}
-            observed = {name: _plain(found["observation"][i, at]) for name, at in columns.items()}
-            of_step = _plain(np.array([one[i] for one in numbers]))
-            row = {
-                **dict(zip(POLICY_FIELDS, of_step, strict=True)),
-                "observation": observed,
-                "action": dict(zip(self._joint_names, _plain(found["action"][i]), strict=True)),
-            }
-            payloads.append(json.dumps(row).encode())
-        return [MessageBatch("/policy/terms", payloads, found.logged, found.published)]
-
-
-def _plain(values: Floats) -> list[float | None]:
-    """Round numbers for JSON, with null for values that are not finite."""
-    return [x if math.isfinite(x) else None for x in values.round(_DECIMALS).tolist()]
 
 
 class _JointStates:

@@ -248,6 +248,16 @@ def test_what_asks_for_no_websocket_gets_nothing(entrance, request_):
         assert one.recv(1000) == b""
 
 
+def test_a_viewer_with_an_older_protocol_is_refused_and_named(entrance, caplog):
+    refused = pytest.raises(InvalidStatus, match="400")
+    with refused, connect(f"ws://localhost:{entrance}", subprotocols=["foxglove.websocket.v1"]):
+        pass
+    with client(entrance) as one:
+        assert one.channels
+    (told,) = (one for one in caplog.records if one.name.startswith("g1stream."))
+    assert (told.levelno, "400" in told.getMessage()) == (logging.WARNING, True)
+
+
 def test_the_number_of_clients_is_limited(entrance, until):
     with ExitStack() as some:
         for _ in range(16):

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -192,6 +193,34 @@ def test_feet_that_slide(speed, told):
         assert foot.skating_max_mm_s == pytest.approx(1e3 * speed)
     assert ("skating" in of(physics, "free")) is told
     assert answers(physics)["free"] == ("inexact" if told else "yes")
+
+
+def test_feet_that_slide_too_fast_to_stand_are_no_lack_of_support():
+    """Both soles 5 mm above the floor, at 0.8 m/s: they carry the weight and hold nothing."""
+    q, root_pos = stance(0.6)
+    path = np.outer(0.8 * np.arange(20) / FPS, [0.6, 0.8, 0.0]) + 0.005 * UP
+    physics = motion_physics(moving(np.tile(q, (20, 1)), root_pos + path))
+    found = of(physics, "free")
+    assert "support" not in found
+    skating = found["skating"]
+    assert (skating.worst, skating.forbids) == (pytest.approx(800.0), True)
+    assert answers(physics)["free"] == "no"
+    higher = motion_physics(moving(np.tile(q, (20, 1)), root_pos + path + 0.1 * UP))
+    assert "skating" not in of(higher, "free")
+    assert of(higher, "free")["support"].worst == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("rise", "forbids"), [(0.01, True), (0.001, False)])
+def test_a_short_force_that_nothing_exerts_forbids_a_motion_if_it_is_large(rise, forbids):
+    """In flight the pelvis is moved up by `rise` within a frame of 10 ms."""
+    q, root_pos = stance(0.6)
+    times = np.arange(20) / 100.0
+    path = root_pos + np.outer(1.0 + 2.8 * times - G * times**2 / 2, [0, 0, 1])
+    path[10:] += rise * UP
+    motion = replace(moving(np.tile(q, (20, 1)), path), fps=100.0)
+    support = of(motion_physics(motion), "free")["support"]
+    assert support.longest_s < 0.1
+    assert support.forbids is forbids
 
 
 def test_feet_below_the_floor_and_above_it():

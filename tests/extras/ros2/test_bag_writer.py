@@ -1,6 +1,8 @@
 """A session as a ROS 2 bag, read by two readers that know ROS's messages and nothing of ours."""
 
 import json
+import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +18,10 @@ from g1stream.errors import RecordingError
 from g1stream.extras.ros2.bag_writer import write_ros2_bag
 from g1stream.robot.model import G1
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import encode_string
+from g1stream.session.format import CHANNELS, encode_string
+from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import JointStatesTemplate, TransformsEncoder
+from written_sessions import stock_reader
 
 T0, STEP, DELAY = 1_700_000_000_000_000_000, 70_000_000, 123_456
 N = 8
@@ -35,6 +39,9 @@ def samples(make_sample, on_the_wire):
             ("/reference", REFERENCE),
         )
     }
+
+
+TIMING = struct.pack("<4B2d", 0, 1, 0, 0, 2.5, 0.125)
 
 
 @pytest.fixture
@@ -55,7 +62,7 @@ def recorded(write_session, samples):
         "/tracking_error/joint_states": error,
         "/tf": TransformsEncoder(robot).encode(times, *pose),
         "/measured/tf": TransformsEncoder(robot, "measured/").encode(times, *pose),
-        "/timing/states": np.frombuffer(b"{}" * N, np.uint8).reshape(N, 2),
+        "/timing/states": np.frombuffer(TIMING * N, np.uint8).reshape(N, -1),
     }
     streams = {topic: [row.tobytes() for row in rows] for topic, rows in derived.items()}
     shown = with_prefixed_links(robot.xml, "measured/")
@@ -106,6 +113,41 @@ def test_all_transforms_are_on_the_topic_that_ros_reads(bag):
     assert len(values[0].transforms) == len(G1.default().link_names)
 
 
+def test_the_transforms_are_written_in_the_order_of_their_log_times(bag):
+    """In a session they are on three topics, whose chunks follow one another."""
+    in_file = stock_reader(bag / "bag_0.mcap").iter_messages(["/tf"], log_time_order=False)
+    times = [message.log_time for _, _, message in in_file]
+    assert len(times) == 2 * N
+    assert times == sorted(times)
+
+
+def test_timing_keeps_its_values(bag):
+    found = [
+        message.ros_msg
+        for message in read_ros2_messages(bag / "bag_0.mcap", topics=["/timing/states"])
+    ]
+    assert [(one.interval_ms, one.latency_ms) for one in found] == [(2.5, 0.125)] * N
+
+
+def test_messages_of_another_type_are_left_out(bag, tmp_path, samples):
+    """Earlier versions wrote /timing/* in JSON, and a bag has its /tf in CDR."""
+    path = tmp_path / "earlier.mcap"
+    json_type = replace(
+        CHANNELS["/timing/states"],
+        schema_name="g1stream.Timing",
+        schema_encoding="jsonschema",
+        message_encoding="json",
+    )
+    with SessionWriter(path, channels=CHANNELS | {"/timing/states": json_type}) as writer:
+        writer.write("/lowstate", samples["/lowstate"][0], T0, T0)
+        writer.write("/timing/states", b'{"interval_ms": 2}', T0, T0)
+    assert write_ros2_bag(path, tmp_path / "of_earlier").left_out == {"/timing/states": 1}
+    for source, kept in ((path, set()), (bag, {"/timing/states"})):
+        saved = open_session(open_session(source).save(tmp_path / "saved.mcap", force=True))
+        assert kept | {"/lowstate"} <= saved.topics.keys()
+        assert not ({"/tf", "/timing/states"} - kept) & saved.topics.keys()
+
+
 def test_the_log_and_the_urdf(bag):
     found = messages(bag)
     ((time, line),) = found["/rosout"]
@@ -140,7 +182,7 @@ def test_unitrees_messages_are_decoded_by_both_readers(bag, recorded):
 def test_metadata_yaml_counts_what_is_in_the_bag(recorded, tmp_path):
     report = write_ros2_bag(recorded, tmp_path / "bag.mcap")
     assert report.path == tmp_path / "bag"
-    assert report.left_out == {"/timing/states": N}
+    assert report.left_out == {}
     with Reader(report.path) as reader:
         assert {c.topic: c.msgcount for c in reader.connections} == report.counts
         assert len(list(reader.messages())) == reader.message_count == sum(report.counts.values())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, QuietFlag, print_json, print_lines, print_warning
+from g1stream.cli.command import EXIT_OK, print_json, print_lines, print_warning
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTION, MotionPartFlags
 from g1stream.cli.progress import showing_progress
@@ -19,7 +19,7 @@ _WORTH_TELLING = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Attach(MotionPartFlags, QuietFlag):
+class Attach(MotionPartFlags):
     """Finds when a motion was played in a session, whichever program played and recorded it. It
     compares the motion with the commands if they contain its joint targets, otherwise with the
     measured joints. The new session has the reference: /tf, the ghost and the tracking error.

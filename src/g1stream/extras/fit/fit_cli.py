@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, QuietFlag, SettingsCommand, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitParameters(SettingsCommand, QuietFlag):
+class FitParameters(SettingsCommand):
     """Fits the parameters of a bolted or hanging robot, and writes a file for --params.
 
     The parameters are viscous and dry friction, armature and torque scale of each joint, the delay

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, QuietFlag, SettingsCommand, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulate(SettingsCommand, QuietFlag):
+class Simulate(SettingsCommand):
     """Sends the recorded commands to the embedded simulator, from the measured state, and compares.
 
     Each window begins with the measured state, so that differences do not accumulate. For each

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Final, Literal
 
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 
-#: File name and loading instructions of each viewer's layout.
+#: File name of each viewer's layout, and how it is loaded.
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
     "lichtblick": ("g1stream-lichtblick.json", "Layouts menu > Import from file."),
-    "plotjuggler": (
-        "g1stream-plotjuggler.xml",
-        "Load a session converted with `g1stream convert SESSION OUT --ros2`, then File > Load "
-        "Layout.",
-    ),
+    "plotjuggler": ("g1stream-plotjuggler.xml", "plotjuggler -l {path}"),
 }
 
 
@@ -26,11 +24,13 @@ _VIEWERS: Final = {
 class Layout(Command):
     """Writes a layout file that shows a session's robot, ghost, worst joints, torques and timing.
 
-    Given a session, it plots the six joints with the largest tracking error.
+    Given a session, it plots the six joints with the largest tracking error. The layout for
+    PlotJuggler needs a session, and opens it.
 
     Examples:
       g1stream layout lichtblick session.mcap
       g1stream layout foxglove --dir layouts
+      g1stream layout plotjuggler session.mcap
 
     Exit codes:
       0  written
@@ -51,11 +51,9 @@ class Layout(Command):
     def run(self) -> int:
         """Write the layout, and return the exit code."""
         from g1stream.analysis.tracking import worst_joints
-        from g1stream.extras.layout.layouts import (
-            DEFAULT_JOINTS,
-            foxglove_layout,
-            plotjuggler_layout,
-        )
+        from g1stream.errors import ConfigError
+        from g1stream.extras.layout.foxglove import DEFAULT_JOINTS, foxglove_layout
+        from g1stream.extras.layout.plotjuggler import plotjuggler_layout
         from g1stream.files import complete_file, output_errors
         from g1stream.session.recording import open_recording
 
@@ -64,17 +62,22 @@ class Layout(Command):
         if self.session:
             recording = open_recording(self.session)
             joints = worst_joints(recording, len(joints)) or joints
-        if self.viewer == "plotjuggler":
-            content = plotjuggler_layout(joints).encode()
-        else:
-            robot = recording.robot if recording else None
-            layout = foxglove_layout(joints, robot)
-            content = json.dumps(layout, indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
+        if self.viewer == "plotjuggler":
+            if recording is None:
+                raise ConfigError(
+                    "The layout for PlotJuggler opens a session and names its curves.",
+                    "Give the session: `g1stream layout plotjuggler session.mcap`.",
+                )
+            place = os.path.relpath(recording.path.resolve(), self.dir.resolve())
+            content = plotjuggler_layout(recording, place, joints).encode()
+        else:
+            layout = foxglove_layout(joints, recording.robot if recording else None)
+            content = json.dumps(layout, indent=1).encode() + b"\n"
         with output_errors(self.dir):
             self.dir.mkdir(parents=True, exist_ok=True)
         with complete_file(path, force=self.force) as temporary:
             temporary.write_bytes(content)
-        print(f"{path}\n{how}")
+        print(f"{path}\n{how.format(path=quote(str(path)))}")
         return EXIT_OK

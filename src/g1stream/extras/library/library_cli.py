@@ -14,7 +14,6 @@ from g1stream.cli.command import (
     EXIT_OK,
     EXIT_SIGNAL,
     EXIT_STOPPED,
-    QuietFlag,
     SettingsCommand,
     on_signals,
     print_lines,
@@ -50,7 +49,7 @@ _IN_PIPE_S: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Library(SettingsCommand, QuietFlag):
+class Library(SettingsCommand):
     """Checks, simulates or converts all motion files in directories; copies of a file once.
 
     `check` computes the results of `g1stream physics`. `simulate` plays each motion on a simulated

@@ -174,6 +174,14 @@ class _Entrance:
                 # What lies here would be sent to a slow client before what is new.
                 to_server.get_extra_info("socket").setsockopt(SOL_SOCKET, SO_RCVBUF, _PART)
                 to_server.write(request)
+                answer = await from_server.readuntil(b"\r\n")
+                if b" 101 " not in answer:  # the SDK refuses a client of an older protocol
+                    _LOGGER.warning(
+                        "a viewer was refused (%s); --live needs Lichtblick of December 2025 or "
+                        "later, PlotJuggler 3.16, or Foxglove",
+                        answer.decode("latin-1").strip()[:80],
+                    )
+                writer.write(answer)
                 await asyncio.gather(_pass_on(reader, to_server), _pass_on(from_server, writer))
             finally:
                 self._clients -= 1

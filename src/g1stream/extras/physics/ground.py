@@ -20,11 +20,14 @@ FRICTION: Final = 0.6
 TRUSTED_FRICTION: Final = 0.4
 """A lower coefficient for planning, because a floor may have less than usual."""
 
+LIFTED: Final = 0.035
+"""Height above which a corner of a sole is off the floor, m."""
+
 #: A corner touches the floor from when it is below both of the first height and speed until it is
 #: above one of the second ones, m and m/s. In retargeted clips standing feet are up to 2 cm above
 #: the floor and slide at about 0.1 m/s.
 _TOUCHES: Final = (0.02, 0.25)
-_LEAVES: Final = (0.035, 0.5)
+_LEAVES: Final = (LIFTED, 0.5)
 
 #: Frames per block, which fit into a processor's cache.
 _PIECE: Final = 256

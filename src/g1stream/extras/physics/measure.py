@@ -19,6 +19,7 @@ from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.ground import (
     FRICTION,
+    LIFTED,
     Flags,
     beyond_support,
     floor_forces,
@@ -245,6 +246,10 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     stands, over = frames.touches.any(axis=1), partial(_excess, frames)
     force, up = loads.force, loads.force[:, 2]
     pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
+    # Feet near the floor that are too fast to stand slide on it: they carry, and do not hold.
+    near = np.where(frames.corners[..., 2] < LIFTED, 1e3 * frames.speeds, np.inf).min(axis=1)
+    carried = ~stands & (near > _SKATING) & np.isfinite(near) & (pull > _UNSUPPORTED * loads.weight)
+    glides, pull = np.where(carried, near, 0.0), np.where(carried, 0.0, pull)
     sideways = np.linalg.norm(force[:, :2], axis=1)
     pressed = np.isfinite(beyond)
     grip = np.divide(sideways, up, out=np.zeros_like(up), where=pressed)
@@ -254,11 +259,14 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     below = np.maximum(-1e3 * _columns(frames.heights, len(force)), 0.0)
     outside = 1e3 * np.where(pressed, beyond, 0.0)
     return [
-        over("support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
+        over(
+            "support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS, most=_TIPS
+        ),
         over("centre of pressure", "mm", outside, _OUTSIDE, longest=_TIPS),
         over("friction", "", grip, FRICTION, longest=_TIPS),
         over("floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
         over("penetration", "mm", sinks, _SUNK, feet),
+        over("skating", "mm/s", glides, _SKATING, ("both feet",), longest=_TIPS),
         over("skating", "mm/s", slides, _SKATING, feet),
     ]
 
@@ -278,18 +286,21 @@ def _excess(
     names: Sequence[str] = ("",),
     *,
     longest: float | None = None,
+    most: float = np.inf,
 ) -> Excess | None:
     """The excess of values (T,) or (T, K) over a limit, a number or (K,); None without one.
 
-    If one of the K values is beyond it for longer than `longest` s, the excess forbids the
-    motion, and only these frames count.
+    If one of the K values is beyond it for longer than `longest` s, or its integral over the time
+    beyond it is more than `most`, the excess forbids the motion, and only these frames count.
     """
     values = values.reshape(len(values), -1)
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape[1:])
     over = values > limits
     if not over.any():
         return None
-    lasting = over if longest is None else _lasting(over, longest * frames.fps)
+    lasting = (
+        over if longest is None else _lasting(over, values, longest * frames.fps, most * frames.fps)
+    )
     forbids = longest is not None and bool(lasting.any())
     over = lasting if forbids else over
     frame, column = divmod(int(np.where(over, values / limits, 0.0).argmax()), values.shape[1])
@@ -309,12 +320,13 @@ def _excess(
     )
 
 
-def _lasting(flags: Flags, n_frames: float) -> Flags:
-    """The runs of True in each column of (T, K) that are longer than `n_frames` frames."""
+def _lasting(flags: Flags, values: Floats, n_frames: float, total: float) -> Flags:
+    """The runs of True in each column of (T, K) longer than `n_frames`, or with a larger sum."""
     lasting = np.zeros_like(flags)
     for k, edges in _stretches_by_column(flags):
-        for first, stop in edges[np.diff(edges)[:, 0] > n_frames]:
-            lasting[first:stop, k] = True
+        for first, stop in edges:
+            if stop - first > n_frames or values[first:stop, k].sum() > total:
+                lasting[first:stop, k] = True
     return lasting
 
 

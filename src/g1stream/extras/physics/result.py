@@ -117,7 +117,7 @@ class Verdict(Record, frozen=True):
         if self.refused:
             return f"cannot be played: {'; '.join(filter(None, (self.refused, self.instead)))}"
         against = [e.cause for e in self.excesses if e.forbids]
-        harmless = [e.cause for e in self.excesses if not e.forbids]
+        harmless = [e.cause for e in self.excesses if not e.forbids and e.cause not in against]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []
         answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
         # Nothing in the loop controls the mass centre.

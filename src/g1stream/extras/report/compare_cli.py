@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
-    QuietFlag,
     print_json,
     print_lines,
     print_verdict,
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(SessionFlags, QuietFlag):
+class Compare(SessionFlags):
     """Compares sessions of the same motion, over the part that all of them played.
 
     With several sessions on a side it shows how much they differ among themselves. A condition

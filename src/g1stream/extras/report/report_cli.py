@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from g1stream.cli.command import EXIT_OK, QuietFlag, print_json
+from g1stream.cli.command import EXIT_OK, print_json
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
@@ -16,7 +16,7 @@ _PAGE: Final = Path("report.html")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(SessionFlags, QuietFlag):
+class Report(SessionFlags):
     """The page needs no network. It shows the run, the tracking error by joint and limb, body-space
     metrics, torque, the physics of the motion, timing, events, and figures of every joint. It
     includes a video or picture beside a session with the same name.

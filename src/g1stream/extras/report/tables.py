@@ -156,7 +156,7 @@ _SUCCESS: Final = (
     Column("with BeyondMimic's limits", "", "success_strict"),
     Column("with SONIC's limits", "", "success_sonic"),
     Column("completed", "", "completed"),
-    Column("played", "% of the requested part", "progress", ".1f", 100.0),
+    Column("played", "% of what was to be played", "progress", ".1f", 100.0),
     Column("mean distance of all links", "mm at most", "max_link_error_mm", ".1f"),
     Column("measured", "", "links", words=_SPACES),
     Column("spoilt by", "ms", "spoilt_by_ms"),

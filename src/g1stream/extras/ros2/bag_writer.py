@@ -8,8 +8,10 @@ that ROS tools expect. Every message keeps its log and publish time.
 from __future__ import annotations
 
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -20,13 +22,14 @@ from rosbags.serde import SerdeError
 from rosbags.typesys.stores import ros2_humble as ros
 
 from g1stream._version import __version__
+from g1stream.dds.messages import Batch
 from g1stream.errors import RecordingError
 from g1stream.extras.attach.recorded_motion import FOXGLOVE
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
 from g1stream.files import complete_directory
 from g1stream.session.format import CHANNELS, Channel, encode_string
-from g1stream.session.mcap_reader import Messages
-from g1stream.session.source import METADATA_YAML, SessionFiles
+from g1stream.session.recording import open_recording
+from g1stream.session.source import METADATA_YAML
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 
@@ -58,25 +61,37 @@ def write_ros2_bag(
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Ros2Report:
     """Write a session as a ROS 2 bag. Nothing is written if it fails."""
-    source, out = SessionFiles(session), out.with_suffix("") if out.suffix == ".mcap" else out
-    if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
+    recorded, out = open_recording(session), out.with_suffix("") if out.suffix == ".mcap" else out
+    if any(part.resolve().is_relative_to(out.resolve()) for part in recorded.paths):
         raise RecordingError(f"The output {out} contains the session.", "Choose another directory.")
-    total, name = max(1, sum(source.topics.values())), f"{out.name}_0.mcap"
+    total, name = max(1, sum(recorded.topics.values())), f"{out.name}_0.mcap"
+    left_out = {
+        topic: n
+        for topic, n in recorded.topics.items()
+        if n and (topic not in _OUTPUTS or topic in recorded.source.foreign)
+    }
     with complete_directory(out, (METADATA_YAML, name), force=force) as place:
         path = place / name
         with SessionWriter(path, channels=_CHANNELS) as writer:
 
-            def converted() -> Iterator[tuple[str, Messages]]:
-                for topic, batch in source.batches(set(_OUTPUTS)):
-                    output = _OUTPUTS[topic]
-                    data = _converted(session, topic, output, batch.data)
-                    yield output.channel.topic, batch._replace(data=data)
+            def converted() -> Iterator[tuple[str, Batch]]:
+                for batches in recorded.rounds(recorded.topics.keys() - left_out.keys()):
+                    made: dict[str, list[tuple[int, int, bytes]]] = defaultdict(list)
+                    for topic, batch in batches.items():
+                        output = _OUTPUTS[topic]
+                        data = _converted(session, topic, output, batch.data)
+                        times = batch.log_times, batch.publish_times
+                        made[output.channel.topic] += zip(*times, data, strict=True)
+                    for topic, messages in made.items():  # several topics become /tf
+                        logged, published, payloads = zip(
+                            *sorted(messages, key=itemgetter(0)), strict=True
+                        )
+                        yield topic, Batch(list(payloads), list(logged), list(published))
                     on_progress(sum(writer.counts.values()) / total)
 
-            writer.copy(source.metadata, source.attachments(), 0, converted())
+            writer.copy(recorded.metadata, recorded.attachments, 0, converted())
         _write_metadata_yaml(place, name, writer.counts, writer.log_times)
         size = path.stat().st_size
-    left_out = {topic: n for topic, n in source.topics.items() if n and topic not in _OUTPUTS}
     return Ros2Report(out, size, writer.counts, left_out)
 
 

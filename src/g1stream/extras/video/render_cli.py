@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, QuietFlag
+from g1stream.cli.command import EXIT_OK
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
@@ -18,7 +18,7 @@ from g1stream.types import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(SessionFlags, QuietFlag):
+class Render(SessionFlags):
     """The ghost has the reference's joints and the measured pelvis. Each frame shows time, phase
     and RMS error of all joints. It needs EGL or OSMesa, but no display and no GPU. The extra
     `meshes` adds the real G1's meshes; MP4 needs the extra `video`.

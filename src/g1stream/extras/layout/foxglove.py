@@ -1,9 +1,8 @@
-"""Layouts of viewers, which define the panels for the topics of a session."""
+"""The layout for Foxglove and Lichtblick: panels for the topics of a session."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
-from xml.etree import ElementTree
 
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
@@ -14,16 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-__all__ = [
-    "DEFAULT_JOINTS",
-    "foxglove_layout",
-    "plotjuggler_layout",
-]
+__all__ = ["DEFAULT_JOINTS", "LIMB_COLORS", "MEASURED", "RED", "REFERENCE", "foxglove_layout"]
 
-#: Colours of the reference, of measurements, and of limits.
-_REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
-#: Colours of `JOINT_GROUPS`.
-_LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
+REFERENCE, MEASURED, RED = "#1abfff", "#ffa61a", "#f44336"
+"""Colours of the reference, of measurements, and of limits."""
+
+LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
+"""Colours of `JOINT_GROUPS`."""
+
 #: Robots and path in the 3D panel, and whether they are visible initially.
 _SCENES: Final = {
     "/measured/scene": True,
@@ -71,16 +68,16 @@ def foxglove_layout(
             "tracking error by limb, RMS, rad",
             [
                 (_joint_path("/tracking_error/limbs", limb, "position"), limb, color)
-                for limb, color in zip(JOINT_GROUPS, _LIMB_COLORS, strict=True)
+                for limb, color in zip(JOINT_GROUPS, LIMB_COLORS, strict=True)
             ],
             legend=True,
         ),
         "Plot!timing": _plot(
             "longest interval and latency, ms",
             [
-                ("/timing/commands.interval_ms", "command interval", _REFERENCE),
-                ("/timing/commands.latency_ms", "command latency", _RED),
-                ("/timing/states.interval_ms", "state interval", _MEASURED),
+                ("/timing/commands.interval_ms", "command interval", REFERENCE),
+                ("/timing/commands.latency_ms", "command latency", RED),
+                ("/timing/states.interval_ms", "state interval", MEASURED),
             ],
             legend=True,
         ),
@@ -98,8 +95,8 @@ def foxglove_layout(
             f"{name}, N·m",
             [
                 *_curves(joint, "effort", "feed-forward", "estimated"),
-                (f"{limit:g}", "limit", _RED),
-                (f"{-limit:g}", "-limit", _RED),
+                (f"{limit:g}", "limit", RED),
+                (f"{-limit:g}", "-limit", RED),
             ],
         )
         positions.append(position)
@@ -123,8 +120,8 @@ def foxglove_layout(
 def _curves(joint: str, field: str, reference: str, measured: str) -> list[tuple[str, str, str]]:
     """A field of a joint in the reference and in the measurement, as labelled curves."""
     return [
-        (_joint_path("/reference/joint_states", joint, field), reference, _REFERENCE),
-        (_joint_path("/measured/joint_states", joint, field), measured, _MEASURED),
+        (_joint_path("/reference/joint_states", joint, field), reference, REFERENCE),
+        (_joint_path("/measured/joint_states", joint, field), measured, MEASURED),
     ]
 
 
@@ -240,34 +237,3 @@ def _column(*panels: Any) -> Any:
             "splitPercentage": share,
         }
     return below
-
-
-def plotjuggler_layout(joints: Sequence[str]) -> str:
-    """Make a layout for PlotJuggler, as XML.
-
-    It plots the joint curves that PlotJuggler makes from sensor_msgs/JointState, in a session that
-    was converted with `g1stream convert --ros2`.
-
-    Args:
-        joints: names of up to six joints to plot.
-    """
-    root = ElementTree.Element("root")
-    widget = {"name": "Main Window", "parent": "main_window"}
-    tabs = ElementTree.SubElement(root, "tabbed_widget", widget)
-    for title, field in (("Joint positions", "position"), ("Joint torques", "effort")):
-        tab = ElementTree.SubElement(tabs, "Tab", tab_name=title, containers="1")
-        container = ElementTree.SubElement(tab, "Container")
-        sizes = ";".join([f"{1 / len(joints):.6f}"] * len(joints))
-        split = ElementTree.SubElement(
-            container, "DockSplitter", orientation="-", sizes=sizes, count=str(len(joints))
-        )
-        for joint in joints:
-            area = ElementTree.SubElement(split, "DockArea", name=f"{joint}")
-            plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
-            for topic, color in (("/reference", _REFERENCE), ("/measured", _MEASURED)):
-                name = f"{topic}/joint_states/{joint}/{field}"
-                ElementTree.SubElement(plot, "curve", name=name, color=color)
-    ElementTree.SubElement(tabs, "currentTabIndex", index="0")
-    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

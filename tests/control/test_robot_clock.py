@@ -93,6 +93,37 @@ def test_a_tick_that_is_full_begins_again():
     assert time.wait(20 * _MS) == 0
 
 
+def passed(ticks, every, jitter=0.0, seconds=5.0):
+    """The robot's time, s, that passes in `seconds`, with these ticks at intervals of `every` s."""
+    rng, clock = np.random.default_rng(2), RobotClock(1.0)
+    for k in range(round(seconds / every) + 1):
+        arrived = (k + jitter * rng.uniform(-0.5, 0.5)) * every
+        clock.take(SimpleNamespace(tick=ticks(k), arrived=round(1e9 * arrived)), moving=False)
+    return clock.time / 1e9
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+@pytest.mark.parametrize("every", [0.01, 0.002])
+def test_a_tick_that_counts_messages_is_no_clock(every, jitter):
+    """As in unitree_sim_isaaclab, at 100 Hz and at 500 Hz."""
+    assert passed(lambda k: k, every, jitter) == pytest.approx(5.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "every", "pace"),
+    [
+        (lambda k: 2 * k, 0.002, 1.0),  # ours, and Unitree's C++ simulator
+        (lambda k: k, 0.001, 1.0),
+        (lambda k: 2 * k, 0.004, 0.5),
+        (lambda k: 2 * (k // 2), 0.002, 0.5),  # a slow simulator repeats its LowState
+        (lambda k: int(0.6 * k), 0.002, 0.3),
+        (lambda k: 10 * k, 0.01, 1.0),
+    ],
+)
+def test_a_tick_in_ms_is_the_robots_time_at_any_pace(ticks, every, pace):
+    assert passed(ticks, every) == pytest.approx(5.0 * pace, abs=0.02)
+
+
 def reading(time, q, dq):
     joints = (values.astype(np.float32) for values in (q, dq, np.zeros(29)))
     return Reading(*joints, IMU, arrived=round(1e9 * time))

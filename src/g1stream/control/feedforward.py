@@ -123,7 +123,9 @@ class FeedForward:
         # A motion in the robot's time waits while no LowState arrives, so its age does not matter.
         age = 0.0 if own else moment.age
         fault = self.status.fault or _find_fault(moment.measured.imu, age)
-        moment = moment._replace(target=target, scale=scale, fault=fault)
+        moment = moment._replace(
+            target=target, scale=scale, robot_time=self.robot_clock.time / 1e9, fault=fault
+        )
         target = self._source.command(moment)
         self.status = self._source.status
         if not fault:

@@ -12,9 +12,9 @@ from g1stream.control.reading import STALE, ticks_between
 
 if TYPE_CHECKING:
     from g1stream.control.reading import Reading
-    from g1stream.types import Floats
+    from g1stream.types import Floats, Ints
 
-__all__ = ["RobotClock"]
+__all__ = ["RobotClock", "counts_messages"]
 
 #: Maximum difference of a motion from the robot's time, ns; above the jitter of ticks.
 _SLACK: Final = 10_000_000
@@ -22,14 +22,30 @@ _SLACK: Final = 10_000_000
 _CATCH_UP: Final = 20_000_000
 _NS_PER_MS: Final = 1_000_000
 _STALE: Final = round(STALE * 1e9)
+#: Readings that show whether ticks are a clock.
+_FIRST: Final = 50
+#: Ticks count messages if this share of them steps by 1 at a median interval longer than this, ns.
+_BY_ONE, _LONGER_THAN_MS = 0.9, 1.6e6
+
+
+def counts_messages(ticks: Ints, intervals: Ints) -> bool:
+    """Whether the tick of LowState counts messages, not ms.
+
+    Args:
+        ticks: (N,) steps of the tick between readings.
+        intervals: (N,) time between the same readings, ns.
+    """
+    longer = len(intervals) > 0 and float(np.median(intervals)) > _LONGER_THAN_MS
+    return longer and float(np.mean(ticks == 1)) >= _BY_ONE
 
 
 class RobotClock:
     """The robot's time: how fast it passes, and by how much a motion that follows it is behind.
 
     The ticks of LowState count ms of the robot's time in Unitree's C++ simulator, in g1stream's
-    and on the robot. If they do not change, as in Unitree's Python simulator, the time passes at
-    the measured scale, and it stops while no LowState arrives.
+    and on the robot. If they do not change, as in Unitree's Python simulator, or count messages, as
+    in unitree_sim_isaaclab, the time passes at the measured scale, and it stops while no LowState
+    arrives.
 
     The scale is the ratio of simulated to real time, from measured joint positions and velocities.
     In a span of real time a joint moves by d. Its velocity is measured in simulated time, and
@@ -47,6 +63,7 @@ class RobotClock:
 
     Attributes:
         followed: as given.
+        time: the robot's time since the first reading, ns.
         scale: the ratio as given or measured, then within 0.5 and 1.05; 1 until something has
             moved.
         delay: time by which the motion is behind the computer's clock, ns; it may decrease again.
@@ -71,9 +88,10 @@ class RobotClock:
         self.scale = 1.0 if scale is None else scale
         self.delay = 0
         self._last: Reading | None = None
-        self._begun: int | None = None
-        self._passed = 0  # the robot's time since then
-        self._ticks = False
+        self.time = 0
+        self._begun: tuple[int, int] | None = None  # in both times
+        self._ticks = self._counted = False
+        self._first: list[tuple[int, int]] = []  # ticks and ns between the first readings
         self._measures = scale is None
         self._estimates: deque[float] = deque(maxlen=self._KEPT)
         self._squares = self._products = 0.0
@@ -84,26 +102,29 @@ class RobotClock:
         """Process a reading; `moving`: commands move the joints, so that it shows the scale."""
         last, self._last = self._last, measured
         if last is not None:
-            ticks = ticks_between(last.tick, measured.tick)
+            ticks, passed = ticks_between(last.tick, measured.tick), measured.arrived - last.arrived
+            if len(self._first) < _FIRST:
+                self._first.append((ticks, passed))
+                self._counted = counts_messages(*np.array(self._first).T)
             self._ticks = self._ticks or ticks != 0
-            if self._ticks:
-                self._passed += max(0, ticks) * _NS_PER_MS
+            if self._ticks and not self._counted:
+                self.time += max(0, ticks) * _NS_PER_MS
             else:
-                passed = min(measured.arrived - last.arrived, _STALE)
-                self._passed += round(passed * self.scale)
+                self.time += round(min(passed, _STALE) * self.scale)
         if self._measures and moving:
             self._integrate(measured)
 
     def begin(self, now: int) -> None:
         """Begin the motion at `now`, ns."""
-        self.delay, self._begun, self._passed = 0, now, 0
+        self.delay, self._begun = 0, (now, self.time)
 
     def wait(self, now: int) -> int:
         """Change of `delay` since the last call, ns; negative if the motion catches up."""
         if self._begun is None or self._last is None:
             return 0
         age = min(now - self._last.arrived, _SLACK)
-        behind = now - self._begun - self._passed - age
+        begun, robot_begun = self._begun
+        behind = now - begun - (self.time - robot_begun) - age
         before = self.delay
         self.delay = min(max(before, behind - _SLACK), max(behind + _SLACK, before - _CATCH_UP))
         return self.delay - before

@@ -56,6 +56,7 @@ class Moment(NamedTuple):
         tick: number of the Reference that is published with the command.
         clock: returns the time, ns of the clock of `measured.arrived`, to measure durations.
         scale: ratio of simulated to real time.
+        robot_time: the robot's time, s, from any zero.
         fault: why nothing can be computed from `measured`, or "".
     """
 
@@ -68,6 +69,7 @@ class Moment(NamedTuple):
     tick: int = 0
     clock: Callable[[], int] = lambda: 0
     scale: float = 1.0
+    robot_time: float = 0.0
     fault: str = ""
 
 

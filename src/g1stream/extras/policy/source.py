@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import Gains
-from g1stream.control.reading import ticks_between
 from g1stream.control.sources import Mode, Source, Status, Traits
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
@@ -112,7 +111,7 @@ class PolicyTargets(Source):
         self._target: Floats | None = None
         self._next = 0.0
         self._steps = self._repeated = self._late = 0
-        self._observed: Reading | None = None
+        self._observed: float | None = None  # in the robot's time, s
         self._fall = ""
         self._newest, self._new = PolicyStep(), False
 
@@ -235,10 +234,8 @@ class PolicyTargets(Source):
         state = state_of(self.contract, self._robot, *values)
         if not self._odometry:
             return state
-        before, self._observed = self._observed or measured, measured
-        # If ticks do not advance, the reception time is used.
-        passed = ticks_between(before.tick, measured.tick) / 1e3
-        passed = passed or (measured.arrived - before.arrived) / 1e9
+        before, self._observed = self._observed, moment.robot_time
+        passed = 0.0 if before is None else moment.robot_time - before
         self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
         pose = self._odometry.pos, state.quat_wxyz
         return state._replace(

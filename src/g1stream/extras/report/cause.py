@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
+from g1stream.control.robot_clock import counts_messages
 from g1stream.errors import RobotError
 from g1stream.input_limits import NUMBER
 from g1stream.robot.hulls import SelfCollision
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.session.recording import Recording
     from g1stream.session.streams import Stream
-    from g1stream.types import Floats
+    from g1stream.types import Floats, Ints
 
 __all__ = ["CauseName", "WorstError", "worst_error"]
 
@@ -227,18 +228,19 @@ class _Moment:
         played = float(tracking.motion_time[rows[-1]] - tracking.motion_time[rows[0]])
         every = self._session.measured.tick
         ticks = every[tracking.states[rows]]
-        if not ticks.any():  # a simulator without ticks
+        steps: Ints = np.diff(every.astype(np.int64))
+        intervals: Ints = np.diff(self._session.measured.publish_time)
+        if not ticks.any() or counts_messages(steps, intervals):  # ticks are no clock
             slow = self._stream and self._stream.waited_s is None and self._stream.time_scale
             pace = slow or 1.0
         else:
             passed = (int(ticks[-1]) - int(ticks[0])) % 2**32 / 1e3
             pace = passed / played if played > _EARLIER / 2 else 1.0
             behind = played - passed
-            if pace >= _SLOW and behind >= _BEHIND and self._explains(behind):
-                # unitree_mujoco's C++ bridge repeats and skips ticks without a stall.
-                steps = np.diff(every)
-                if np.mean(steps == np.median(steps)) > _REGULAR:
-                    return f"the simulator stalled: it was {1e3 * behind:.0f} ms behind the motion"
+            # unitree_mujoco's C++ bridge repeats and skips ticks without a stall.
+            regular = np.mean(steps == np.median(steps)) > _REGULAR
+            if regular and pace >= _SLOW and behind >= _BEHIND and self._explains(behind):
+                return f"the simulator stalled: it was {1e3 * behind:.0f} ms behind the motion"
         if pace >= _SLOW:
             return ""
         return f"the simulator ran at {pace:.2f} of the motion's pace"

@@ -229,8 +229,8 @@ class _Moment:
         every = self._session.measured.tick
         ticks = every[tracking.states[rows]]
         steps: Ints = np.diff(every.astype(np.int64))
-        intervals: Ints = np.diff(self._session.measured.publish_time)
-        if not ticks.any() or counts_messages(steps, intervals):  # ticks are no clock
+        times = self._session.measured.publish_time
+        if not ticks.any() or counts_messages(steps, times[1:] - times[:-1]):  # ticks are no clock
             slow = self._stream and self._stream.waited_s is None and self._stream.time_scale
             pace = slow or 1.0
         else:

@@ -66,6 +66,7 @@ def test_wire_channels_are_named_as_ros_names_them():
         "rt/arm_sdk": ("/arm_sdk", "unitree_hg/msg/LowCmd"),
         "rt/lowstate": ("/lowstate", "unitree_hg/msg/LowState"),
         "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),
+        "rt/odommodestate": ("/odommodestate", "unitree_go/msg/SportModeState"),
         "rt/secondary_imu": ("/secondary_imu", "unitree_hg/msg/IMUState"),
         "rt/g1stream/reference": ("/reference", "g1stream/msg/Reference"),
         "rt/g1stream/policy": ("/policy", "g1stream/msg/Policy"),

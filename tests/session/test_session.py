@@ -12,10 +12,12 @@ from g1stream.dds.layout import members
 from g1stream.dds.messages import (
     LOWCMD,
     LOWSTATE,
+    ODOMMODESTATE,
     POLICY,
     REFERENCE,
     SECONDARY_IMU,
     SPORTMODESTATE,
+    encode_samples,
 )
 from g1stream.errors import RecordingError
 from g1stream.session.streams import LogEvent
@@ -201,3 +203,38 @@ def test_a_copy_of_a_cut_file_has_its_index_and_every_message(
     assert [one.name for one in reader.iter_attachments()] == ["motion.csv"]
     assert any("did not close the file" in one for one in copied.summary().problems)
     passes_doctor(whole)
+
+
+def test_a_g1_has_other_topics_for_state_and_base(tmp_path):
+    """As ros2 bag records them: its /sportmodestate has another type, of 16 bytes."""
+    path, stamps = tmp_path / "g1.mcap", T0 + 50_000_000 * np.arange(20)
+    heights = np.linspace(0.7, 0.8, 20)
+    state = {"motor_state.q": np.tile(heights[:, None], 29)}
+    base = {"position": np.column_stack([heights, heights, heights])}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, kind, data in (
+            ("/lf/lowstate", "unitree_hg/msg/LowState", encode_samples(LOWSTATE, state, 20)),
+            (
+                "/odommodestate",
+                "unitree_go/msg/SportModeState",
+                encode_samples(ODOMMODESTATE, base, 20),
+            ),
+            ("/sportmodestate", "unitree_hg/msg/SportModeState", np.zeros((30, 20), np.uint8)),
+        ):
+            schema = writer.register_schema(kind, "ros2msg", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for sample, stamp in zip(data, stamps, strict=False):
+                writer.add_message(channel, int(stamp), sample.tobytes(), int(stamp))
+        writer.finish()
+    session = open_session(path)
+    np.testing.assert_allclose(session.measured.q[:, 3], heights, atol=1e-6)
+    np.testing.assert_allclose(session.base.position[:, 2], heights, atol=1e-6)
+    summary = session.summary()
+    assert summary.topics["/lowstate"].rate_hz == pytest.approx(20.0)
+    assert summary.log == {
+        "/lowstate": "read from /lf/lowstate",
+        "/sportmodestate": "read from /odommodestate",
+    }
+    assert session.topics["/sportmodestate (unitree_hg/msg/SportModeState)"] == 20

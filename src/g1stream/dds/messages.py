@@ -29,6 +29,7 @@ __all__ = [
     "LOG",
     "LOWCMD",
     "LOWSTATE",
+    "ODOMMODESTATE",
     "POLICY",
     "REFERENCE",
     "SECONDARY_IMU",
@@ -214,7 +215,9 @@ class SecondaryImu(Message):
 
 
 class SportModeState(Message):
-    """The true base pose from a simulator, topic rt/sportmodestate.
+    """The base: its true pose from a simulator on rt/sportmodestate, or a robot's estimate.
+
+    A G1 publishes the latter on rt/odommodestate, and another type on rt/sportmodestate.
 
     Attributes:
         position, velocity: (3,) float32, of the pelvis in the world, m and m/s.
@@ -446,6 +449,7 @@ class Topic:
 LOWCMD: Final = Topic("rt/lowcmd", LowCmd)
 LOWSTATE: Final = Topic("rt/lowstate", LowState)
 SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
+ODOMMODESTATE: Final = Topic("rt/odommodestate", SportModeState)
 SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
 REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
 POLICY: Final = Topic("rt/g1stream/policy", PolicyStep)
@@ -460,6 +464,7 @@ TOPICS: Final = (
     *COMMANDS.values(),
     LOWSTATE,
     SPORTMODESTATE,
+    ODOMMODESTATE,
     SECONDARY_IMU,
     REFERENCE,
     POLICY,

@@ -15,7 +15,7 @@ import numpy as np
 
 from g1stream.dds.discovery import GUARD_PROGRAM, AnnouncedBridge, program_of
 from g1stream.dds.endpoints import PublishersByTurns
-from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, POLICY, Log
+from g1stream.dds.messages import COMMAND_NAMES, LOG, LOWCMD, LOWSTATE, ODOMMODESTATE, POLICY, Log
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import severity
 from g1stream.recorder.diagnostics import (
@@ -53,7 +53,7 @@ _DROPS_PERIOD: Final = 1.0
 #: Topics that may have one active publisher.
 _SINGLE: Final = COMMAND_NAMES | {LOWSTATE.name}
 #: Topics that most streams do not publish.
-_OCCASIONAL: Final = (COMMAND_NAMES - {LOWCMD.name}) | {POLICY.name}
+_OCCASIONAL: Final = (COMMAND_NAMES - {LOWCMD.name}) | {POLICY.name, ODOMMODESTATE.name}
 #: Number of batches whose median delays are kept; the last minutes, because the offset may drift.
 _DELAYS: Final = 8192
 #: Maximum wait for awaited publishers, and interval of the checks, s.

@@ -265,6 +265,12 @@ _ALL: Final = (
         "unitree_go/msg/SportModeState",
         "base from the simulator",
     ),
+    _dds(
+        "/odommodestate",
+        "rt/odommodestate",
+        "unitree_go/msg/SportModeState",
+        "base as the robot estimates it",
+    ),
     _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
     _policy("/policy/terms", "/policy by the names of terms and joints, with delays in ms"),
     _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),

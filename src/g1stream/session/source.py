@@ -156,6 +156,10 @@ class SessionSource(ABC):
         """
 
 
+#: Topics of a G1 that are read where the usual one has no messages.
+_INSTEAD: Final = {"/lf/lowstate": "/lowstate", "/odommodestate": "/sportmodestate"}
+
+
 class FilesSource(SessionSource):
     """Several message files read as one, with the topics of a session."""
 
@@ -163,10 +167,10 @@ class FilesSource(SessionSource):
         """Use the messages of some files, in their order."""
         self._of_messages = files
         counts = sum((file.counts for file in files), Counter[str]())
-        self._names = _session_topics(counts)
+        kinds = {name: kind for file in files for name, kind in file.types.items()}
+        self._names = _session_topics(counts, kinds)
         self.topics = {topic: counts[name] for topic, name in self._names.items()}
         self.unread = sum(file.unread for file in files)
-        kinds = {name: kind for file in files for name, kind in file.types.items()}
         for topic in CHANNELS.keys() & self._names.keys():
             one = CHANNELS[topic]
             if not one.dds_topic and kinds[topic] != (one.schema_name, one.message_encoding):
@@ -180,19 +184,43 @@ class FilesSource(SessionSource):
                 yield names[name], messages
 
 
-def _session_topics(counts: Mapping[str, int]) -> dict[str, str]:
+def _session_topics(
+    counts: Mapping[str, int], kinds: Mapping[str, tuple[str, str]]
+) -> dict[str, str]:
     """The session's topic -> the same topic in a file, such as `/rt/lowstate`.
 
+    A topic of the robot with another type, such as a G1's /sportmodestate of unitree_hg, is none of
+    the session, and has its type behind its name.
+
     Args:
-        counts: number of messages by topic in the file. Topics with messages are preferred.
+        counts: number of messages by topic in the file. Topics with messages are preferred, then
+            those of the usual name, then those with the most messages.
+        kinds: schema name and encoding by topic.
     """
-    topics = {topic: topic for topic in counts}
-    for topic in sorted(counts, key=lambda one: counts[one]):
-        name = f"/{topic.removeprefix('/').removeprefix('rt/')}"
-        if name in CHANNELS and not counts.get(name):
-            topics.pop(topic)
-            topics[name] = topic
-    return topics
+    names = {topic: f"/{topic.removeprefix('/').removeprefix('rt/')}" for topic in counts}
+    found: dict[str, str] = {}
+
+    def rank(topic: str) -> tuple[bool, bool, bool, int]:
+        n, name = counts[topic], names[topic]
+        return n > 0, name not in _INSTEAD, topic == name, n
+
+    for topic in sorted(counts, key=rank):
+        usual = _INSTEAD.get(names[topic], names[topic])
+        channel, kind = CHANNELS.get(usual), kinds.get(topic, ("", ""))[0]
+        if channel is None:
+            found[topic] = topic
+        elif channel.dds_topic and kind and _package(kind) != _package(channel.schema_name):
+            found[f"{topic} ({kind})"] = topic
+        else:
+            if usual in found:
+                found[found[usual]] = found[usual]
+            found[usual] = topic
+    return found
+
+
+def _package(kind: str) -> str:
+    """The package of a type, which tells types of one name apart."""
+    return kind.partition("/")[0]
 
 
 class SessionFiles(FilesSource):
@@ -212,6 +240,9 @@ class SessionFiles(FilesSource):
         self.complete = all(file.complete for file in self._files)
         self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
+        for topic, name in self._names.items():
+            if f"/{name.removeprefix('/').removeprefix('rt/')}" in _INSTEAD and topic != name:
+                self.metadata["log"] = {**self.metadata.get("log", {}), topic: f"read from {name}"}
 
     @property
     def has_joint_states(self) -> bool:

@@ -14,6 +14,7 @@ from g1stream.config import RecordConfig
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import (
     LOWSTATE,
+    ODOMMODESTATE,
     POLICY,
     REFERENCE,
     SPORTMODESTATE,
@@ -136,7 +137,7 @@ class MessagePipeline:
             self.base.add_references(
                 reference.published, reference["root_pos"], reference["root_quat_wxyz"]
             )
-        if position := samples.get(SPORTMODESTATE.name):
+        if position := samples.get(SPORTMODESTATE.name) or samples.get(ODOMMODESTATE.name):
             self.base.add_positions(position.published, position["position"])
         if state := samples.get(LOWSTATE.name):
             self.base.add_states(state.published, state["imu_state.quaternion"])
@@ -146,7 +147,7 @@ class MessagePipeline:
         return [messages for messages in made if len(messages.payloads)]
 
 
-_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE)}
+_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE, ODOMMODESTATE)}
 
 
 class _Decoded:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.session.recording import Recording
     from g1stream.session.streams import Stream
-    from g1stream.types import Floats, Ints
+    from g1stream.types import Floats
 
 __all__ = ["CauseName", "WorstError", "worst_error"]
 
@@ -228,7 +228,8 @@ class _Moment:
         played = float(tracking.motion_time[rows[-1]] - tracking.motion_time[rows[0]])
         every = self._session.measured.tick
         ticks = every[tracking.states[rows]]
-        steps: Ints = np.diff(every.astype(np.int64))
+        ticks_ms = every.astype(np.int64)
+        steps = ticks_ms[1:] - ticks_ms[:-1]
         times = self._session.measured.publish_time
         if not ticks.any() or counts_messages(steps, times[1:] - times[:-1]):  # ticks are no clock
             slow = self._stream and self._stream.waited_s is None and self._stream.time_scale

@@ -6,15 +6,26 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
+from g1stream.types import MAX_GAP_NS
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Clock", "SystemClock", "Ticker"]
+__all__ = ["Clock", "SystemClock", "Ticker", "have_one_clock"]
 
 #: Longest busy wait before a deadline, ns.
 _LONGEST_SPIN: Final = 100_000
 #: Number of wake-ups over which their latency is averaged.
 _AVERAGED: Final = 16
+
+
+def have_one_clock(transit: int) -> bool:
+    """Whether publisher and receiver of a message seem to have one clock.
+
+    Args:
+        transit: time of reception minus publish time, ns; of several messages the smallest.
+    """
+    return 0 <= transit <= MAX_GAP_NS
 
 
 class Clock(Protocol):

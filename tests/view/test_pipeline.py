@@ -17,6 +17,8 @@ from g1stream.dds.messages import (
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
+from g1stream.session.source import MemorySource
+from g1stream.testing import SyntheticSession
 from g1stream.view.pipeline import Decimator, MessagePipeline, Track, TrackingError
 from written_sessions import decoded
 
@@ -240,3 +242,24 @@ def test_a_state_that_comes_a_batch_late_finds_its_reference():
         error.add_states(states.where(slice(max(0, start - 25), start)))
         published += error.take().publish_times.tolist()
     assert published == states.publish_times.tolist()
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.2, -3.2])
+def test_the_curve_of_errors_is_that_of_a_robot_with_another_clock(offset):
+    source = MemorySource()
+    SyntheticSession(2.0, clock_offset=offset, latency=0.001, bias=0.02).write(source)
+    batches = {}
+    for topic, messages in source.batches({"/lowstate", "/reference"}):
+        name = {"/lowstate": LOWSTATE, "/reference": REFERENCE}[topic].name
+        batch = batches.setdefault(name, Batch())
+        batch.data += [bytes(one) for one in messages.data]
+        batch.publish_times += messages.publish_times.tolist()
+        batch.log_times += messages.log_times.tolist()
+    pipeline = MessagePipeline(G1.default(), RecordConfig())
+    made = {one.topic: one.payloads for one in pipeline.encode(batches)}
+    states = (JointStates.FromString(bytes(one)) for one in made["/tracking_error/joint_states"])
+    errors = [[joint.position for joint in state.joints] for state in states]
+    assert len(errors) > 150
+    # Beside the bias there is what the joints move in 1 ms, if the clocks' offset hides it.
+    np.testing.assert_allclose(np.mean(errors), 0.02, atol=2e-3)
+    np.testing.assert_allclose(errors, 0.02, atol=0.01)

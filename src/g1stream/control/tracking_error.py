@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.clock import have_one_clock
 from g1stream.robot.joints import N_JOINTS
 from g1stream.types import MAX_GAP_NS, Floats
 
@@ -111,7 +112,7 @@ class RunningError:
         if previous is None:
             return
         published, received = previous.stamps
-        time = published if 0 <= received - published <= MAX_GAP_NS else received
+        time = published if have_one_clock(received - published) else received
         after: _Asked | None = None
         for before in reversed(self._asked):
             if before.stamp <= time:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from g1stream.clock import have_one_clock
 from g1stream.config import RecordConfig
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import (
@@ -319,7 +320,9 @@ class _Errors:
             self._error.add_references(track, found.played)
         if found := samples.get(LOWSTATE.name):
             q, dq = found["motor_state.q"], found["motor_state.dq"]
-            self._error.add_states(Track(found.published, found.logged, q, dq))
+            one_clock = have_one_clock(int((found.logged - found.published).min()))
+            times = found.published if one_clock else found.logged
+            self._error.add_states(Track(times, found.logged, q, dq))
         errors = self._error.take()
         times, logged = errors.publish_times, errors.log_times
         few = self._few.pick(times)
@@ -370,9 +373,9 @@ class Track(NamedTuple):
 class TrackingError:
     """Computes the tracking error of states and references that arrive in batches.
 
-    The error is reference minus measured, at the publish time of each measured state. The reference
-    is interpolated linearly between two samples. States in a gap of the reference longer than
-    `MAX_GAP_NS` have no error.
+    The error is reference minus measured, at the publish time of each measured state, or when it
+    was received if its clock differs. The reference is interpolated linearly between two samples.
+    States in a gap of the reference longer than `MAX_GAP_NS` have no error.
 
     An error is known after the next reference has arrived. Its log time is the latest reception
     time of its samples.

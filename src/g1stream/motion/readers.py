@@ -209,7 +209,7 @@ class Poses:
 
     Attributes:
         file: the file.
-        told: the evidence about everything but the frame rate.
+        told: the evidence; about the frame rate only if that is not in the file itself.
         joint_pos: (T, 29) rad.
         root_pos: (T, 3) position of the pelvis, m; None if the file has none.
         root_quat_wxyz: (T, 4), of any length above 0; None if the file has none.
@@ -232,7 +232,7 @@ class Poses:
         """The evidence, with that about the frame rate."""
         used, assumed = dict(self.told.used), dict(self.told.assumed)
         if self.file.fps is None and self.fps:
-            used["frame rate"] = f"{self.fps:g} fps, from the file"
+            used.setdefault("frame rate", f"{self.fps:g} fps, from the file")
         elif self.file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
         return replace(self.told, used=used, assumed=assumed)

@@ -61,12 +61,15 @@ class Evidence:
         assumed: by subject: assumptions about what the file does not specify.
         not_used: unused joints, columns and arrays of the file.
         missing: joints that the file lacks; they stay at 0.
+        usual: the layout is that of LAFAN1, without or with a header, for which the assumptions are
+            right; no warning names them.
     """
 
     used: Mapping[str, str]
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    usual: bool = False
 
     @property
     def assumptions(self) -> dict[str, str]:
@@ -191,14 +194,14 @@ class MotionFile:
         return None
 
     def load(self) -> Motion:
-        """Read the motion; its warnings also name what is assumed. It raises what readers raise."""
+        """Read the motion; warnings name unusual assumptions, too. It raises what readers do."""
         reader, name = self.open(), f"{self.path.name}: "
         evidence, motion = reader.evidence, reader.motion()
         told = [text.removeprefix(name) for text in motion.warnings]
         assumed = tuple(
             f"{name}{subject}: {text}."
             for subject, text in evidence.assumptions.items()
-            if not any(evidence.assumed[subject] in one for one in told)
+            if not (evidence.usual or any(evidence.assumed[subject] in one for one in told))
         )
         return replace(motion, warnings=motion.warnings + assumed) if assumed else motion
 

@@ -104,7 +104,8 @@ def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, aske
     assert_motion(found, motion)
     told = {text.split(": ")[1] for text in found.warnings}
     hint = {"the joint order was detected only by joint limits; isaaclab"}
-    assert told == {"pelvis"} | (hint if order == "isaaclab" and not asked else set())
+    usual = order == "motor"
+    assert told == (set() if usual else {"pelvis"} if asked else {"pelvis"} | hint)
     np.savetxt(path, np.hstack([pose, 0 * angles]), "%.17g", delimiter=",")
     assert opened(path).evidence.assumed.keys() == {"joint order", "pelvis", "frame rate"}
 

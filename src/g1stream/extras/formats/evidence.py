@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.extras.formats.columns import Columns, is_quaternion, readings
+from g1stream.extras.formats.columns import POSE, Columns, is_quaternion, readings
 from g1stream.extras.formats.orders import (
     MAY_LACK,
     WRISTS,
@@ -186,7 +186,9 @@ class _Arrays:
             )
         return Poses(
             self._file,
-            Evidence({"file": kind, **used}, assumed, self._not_used, self._absent),
+            Evidence(
+                {"file": kind, **used}, assumed, self._not_used, self._absent, usual=self._is_lafan1
+            ),
             in_motor_order(self._columns.angles, order.columns),
             root and root.pos,
             root and root.quat_wxyz,
@@ -215,6 +217,14 @@ class _Arrays:
                 f"the joint order {how}; {self._order.why}. Give --joint-order {self._order.other} "
                 "if that is the order."
             )
+
+    @property
+    def _is_lafan1(self) -> bool:
+        """Whether a table has LAFAN1's layout: the pelvis, its quaternion xyzw, and the motors."""
+        (name, table), root, order = self._angles, self._root, self._order
+        if name != "table" or table.shape[1] != POSE + N_JOINTS or order.assumed:
+            return False
+        return root is not None and root.assumed and order.columns == JOINT_NAMES
 
     @cached_property
     def _absent(self) -> tuple[str, ...]:
@@ -280,7 +290,7 @@ class _Arrays:
             raise self._error(cause, remedy, 1 if self._first_line else 0)
         raise self._error(
             f"{name} has {width} columns for {joints} joints",
-            f"Give it a column for each joint, or 7 more before them: the pelvis's position "
+            f"Give it a column for each joint, or {POSE} more before them: the pelvis's position "
             f"and quaternion ({'wxyz' if _ANGLES[_plain(name)] else 'xyzw'}).",
             1 if self._first_line else 0,
         )
@@ -288,7 +298,7 @@ class _Arrays:
     def _has_quaternion(self, columns: Columns) -> bool:
         pose = columns.pose
         return pose is not None and (
-            pose.shape[1] < 7 or columns.quat_first or is_quaternion(pose[:, 3:])
+            pose.shape[1] < POSE or columns.quat_first or is_quaternion(pose[:, 3:])
         )
 
     def _nearest(self, found: list[Columns]) -> list[Columns]:
@@ -433,6 +443,8 @@ class _Arrays:
                 raise self._error(f"{name} is not a frame rate", "Give it one number, such as 50.")
             fps = float(1.0 / values[0] if _plain(name) == "dt" else values[0])
             return fps, f"from {self._place(name)}"
+        if self._file.fps:
+            return None
         extra, n_frames = self._columns.extra, len(self._angles[1])
         if extra is not None and (rate := rate_of_times(extra)):
             return rate, _FIRST_COLUMN

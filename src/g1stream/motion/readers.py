@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from g1stream.types import Floats, JointOrder
 
 __all__ = [
+    "ATTACH",
     "BUNDLED_MOTIONS",
     "FORMATS",
     "Evidence",
@@ -44,6 +45,11 @@ __all__ = [
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
 
+ATTACH: Final = (
+    "A recording of a robot is no motion: `g1stream attach RECORDING MOTION` finds when one was "
+    "played in it."
+)
+"""Remedy for a recording that another program made."""
 #: The start of a file that Git LFS has replaced by a pointer.
 _LFS: Final = b"version https://git-lfs"
 #: Bytes that the header of our tables does not have.

@@ -144,6 +144,9 @@ def test_samples_that_are_compressed_one_by_one(tmp_path, played, storage):
     bag = write_bag(tmp_path / "bag", topics, storage, CompressionMode.MESSAGE)
     (file,) = (one for one in bag.iterdir() if one.suffix != ".yaml")
     for path in (bag, file):
+        with pytest.raises(RecordingError) as refused:
+            load_motion(path)
+        assert "g1stream attach" in refused.value.remedy
         session = g1stream.open_session(path)
         assert [*session.replay_bytes("/lowstate")] == rows
         np.testing.assert_array_equal(session.measured.q, np.float32(q))

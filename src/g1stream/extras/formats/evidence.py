@@ -48,10 +48,13 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["BESIDE", "READ", "poses_of"]
+__all__ = ["BESIDE", "READ", "TIMES", "poses_of"]
 
 BESIDE: Final = "meta.json"
 """The file that says the rate and the names of an NPZ in the same directory, as of HDMI."""
+
+TIMES: Final = ("time", "times", "time_s", "t", "timestamp", "timestamps", "timestamp_ns")
+"""Names of the times of the frames."""
 
 # Names of arrays in the files of other programs, in lower case and without the suffix `_w`, which
 # means the world frame.
@@ -70,7 +73,6 @@ _FPS: Final = (
     *("fps", "framerate", "frame_rate", "mocap_framerate", "mocap_frame_rate"),
     *("sample_rate", "sampling_rate", "frequency", "freq", "hz"),
 )
-_TIMES: Final = ("time", "times", "time_s", "t", "timestamp", "timestamps", "timestamp_ns")
 _SPEEDS: Final = ("joint_vel", "dof_vel", "dof_velocities", "joint_velocities", "qvel")
 _POSITIONS: Final = (
     *("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation"),
@@ -448,7 +450,7 @@ class _Arrays:
         extra, n_frames = self._columns.extra, len(self._angles[1])
         if extra is not None and (rate := rate_of_times(extra)):
             return rate, _FIRST_COLUMN
-        name = self._first(_TIMES)
+        name = self._first(TIMES)
         times = np.asarray(self._arrays[name], float) if self._shape(name) == (n_frames,) else None
         if times is not None and (rate := rate_of_times(times)):
             self._read[name] = None

@@ -98,6 +98,16 @@ def test_a_motion_in_another_unit_is_refused(tmp_path, factor):
     assert row.frames == 60
 
 
+def test_joints_that_the_robot_lacks_are_in_the_row(tmp_path):
+    path = g1stream.load_motion("demo").frames(30, 60).save(tmp_path / "part.npz")
+    for name in ("g1_23dof", "g1_29dof"):
+        config = load_config(over={"robot": name})
+        case = g1stream.library.LibraryCase("check", tmp_path, config)
+        row = rows_of(Task(str(path), Content("0"), case)).motion
+        assert row.status == "ok"
+        assert ("waist_roll" in (row.causes or "")) == (name == "g1_23dof")
+
+
 @pytest.mark.parametrize("bug", [False, True])
 def test_an_error_for_lack_of_memory_is_no_bug(tmp_path, monkeypatch, bug):
     """MuJoCo's are no `MemoryError`."""

@@ -320,6 +320,8 @@ def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     max_tilt = case.config.safety.max_tilt
     found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
     _add_physics(found, row, joints)
+    if report.dropped and report.dropped.moved:
+        row.causes = "; ".join(filter(None, [row.causes, str(report.dropped)]))
 
 
 def _add_physics(found: MotionPhysics, row: MotionRow, joints: dict[str, JointRow]) -> None:

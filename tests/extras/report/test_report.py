@@ -147,7 +147,7 @@ def test_what_is_shown_of_physics_and_pelvis_depends_on_how_a_robot_was_held(sho
     )
     assert torques == [{"bolted"}, {"follow"}]
     assert not any(".physics.feet." in key for key in page.values)
-    of_pelvis = {"world", "root_relative", "pelvis", "terminations"}
+    of_pelvis = {"world", "root_relative", "pelvis", "terminations", "mjlab"}
     assert not body[0] & of_pelvis
     assert of_pelvis <= body[1]
     assert "pelvis_frame" in body[0]

@@ -115,3 +115,10 @@ def test_frames_of_mimickit(pkl, heading):
     there = Rotation.from_quat(found.root_quat_wxyz[:, [1, 2, 3, 0]])
     np.testing.assert_allclose((there * turn.inv()).magnitude(), 0.0, atol=1e-7)
     assert opened(path).evidence.assumed.keys() == {"joint order"}
+    some = [i for i, one in enumerate(g1stream.JOINT_NAMES) if "wrist" not in one]
+    frames = np.hstack([pose, joints[:, some]])  # 29 columns, which are no 29 joints
+    found = g1stream.load_motion(pkl(pickle.dumps({"fps": 30, "frames": frames})))
+    np.testing.assert_array_equal(found.joint_pos[:, some], joints[:, some])
+    np.testing.assert_array_equal(found.root_pos, pose[:, :3])
+    with pytest.raises(MotionError, match="36 columns"):
+        g1stream.load_motion(pkl(pickle.dumps({"frames": np.zeros((9, 36))})))

@@ -76,7 +76,7 @@ def readings(table: Floats, n_joints: Sequence[int], *, mapped: bool) -> list[Co
     Args:
         table: the array.
         n_joints: possible numbers of joints, the usual one first.
-        mapped: the pelvis has an exponential map in place of a quaternion.
+        mapped: it is the pelvis, with an exponential map in place of a quaternion, and the joints.
     """
     width, size = table.shape[1], _MAPPED_POSE if mapped else POSE
     exact, found = [], []
@@ -95,7 +95,7 @@ def readings(table: Floats, n_joints: Sequence[int], *, mapped: bool) -> list[Co
                 rest,
             )
             if mapped:
-                found += [one] * (not rest and not extra)
+                found += [one] * (pose > 0 and not rest and not extra)
                 continue
             certain = not rest if one.pose is None else bool(_unit_columns(one.pose))
             if certain and (not extra or pose or counts(table[:, 0])):

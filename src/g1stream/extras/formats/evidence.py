@@ -290,12 +290,15 @@ class _Arrays:
             cause = f"{name} has {width} columns: " + ", or ".join(map(str, found))
             remedy = "Give it the joints alone, or name all columns in joint_names."
             raise self._error(cause, remedy, 1 if self._first_line else 0)
-        raise self._error(
-            f"{name} has {width} columns for {joints} joints",
+        order = "wxyz" if _ANGLES[_plain(name)] else "xyzw"
+        remedy = (
             f"Give it a column for each joint, or {POSE} more before them: the pelvis's position "
-            f"and quaternion ({'wxyz' if _ANGLES[_plain(name)] else 'xyzw'}).",
-            1 if self._first_line else 0,
         )
+        remedy += f"and quaternion ({order})."
+        if _plain(name) == _FRAMES:
+            remedy = "Give it position (3), exponential map (3) and the joints, as MimicKit does."
+        line = 1 if self._first_line else 0
+        raise self._error(f"{name} has {width} columns for {joints} joints", remedy, line)
 
     def _has_quaternion(self, columns: Columns) -> bool:
         pose = columns.pose

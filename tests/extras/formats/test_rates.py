@@ -73,7 +73,8 @@ def test_speeds_of_the_joints_tell_the_rate(tmp_path, motion, fps, kind):
 def test_speeds_of_another_motion_tell_nothing(tmp_path, motion):
     path = tmp_path / "motion.npz"
     other = np.gradient(motion.joint_pos[:, ::-1], 0.02, axis=0)
-    for speeds in (other, 0 * other, other[:, :5], other[1:]):
+    bad = [np.where(other > 0.5, one, other) for one in (np.nan, np.inf, 1e308)]
+    for speeds in (other, 0 * other, other[:, :5], other[1:], *bad):
         np.savez(path, joint_pos=motion.joint_pos, joint_names=motion.joint_names, joint_vel=speeds)
         assert g1stream.load_motion(path).fps == 30.0
         assert "frame rate" in opened(path).evidence.assumed

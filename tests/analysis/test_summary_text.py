@@ -180,7 +180,7 @@ CASES = {
             success_sonic=False,
         ),
         terminations=TerminationMetrics(
-            max_pelvis_height_mm=80.0,
+            max_anchor_height_mm=80.0,
             max_gravity_difference=0.1,
             max_end_effector_height_mm=355.0,
             sonic=Excess(at_s=38.401, link="left_ankle_roll_link", height_mm=261.2),
@@ -190,7 +190,7 @@ CASES = {
         tracking=with_delay(0.0021, ci95=None, compared_s=3.0),
         success=SuccessMetrics(success=True, spoilt_by_ms=94.0),
         terminations=TerminationMetrics(
-            max_pelvis_height_mm=80.0,
+            max_anchor_height_mm=80.0,
             max_gravity_difference=1.1,
             max_end_effector_height_mm=200.0,
             sonic=Excess(at_s=3.0, link="pelvis", rotation_rad=1.0049),

@@ -48,6 +48,7 @@ __all__ = [
     "Excess",
     "Frames",
     "LinkMetrics",
+    "MjlabMetrics",
     "PelvisMetrics",
     "RobotFrames",
     "TerminationMetrics",
@@ -62,6 +63,16 @@ _END_EFFECTORS: Final = (
     "left_wrist_yaw_link",
     "right_wrist_yaw_link",
 )
+#: The bodies that BeyondMimic and mjlab track, and the one to which they attach the reference.
+_TRACKED: Final = (
+    "pelvis",
+    *("left_hip_roll_link", "left_knee_link", "left_ankle_roll_link"),
+    *("right_hip_roll_link", "right_knee_link", "right_ankle_roll_link"),
+    "torso_link",
+    *("left_shoulder_roll_link", "left_elbow_link", "left_wrist_yaw_link"),
+    *("right_shoulder_roll_link", "right_elbow_link", "right_wrist_yaw_link"),
+)
+_ANCHOR: Final = "torso_link"
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
 #: Errors at which SONIC counts a run as failed: height, m, and attitude of the pelvis, rad.
@@ -151,19 +162,42 @@ class Excess(Record):
 class TerminationMetrics(Record):
     """Largest errors of BeyondMimic's termination terms, and SONIC's failure.
 
+    The anchor is `torso_link`, or the pelvis of a robot without that link.
+
     Attributes:
-        max_pelvis_height_mm: error of the pelvis's height.
+        max_anchor_height_mm: error of the anchor's height (`bad_anchor_pos_z_only`).
         max_gravity_difference: between the z components of the direction of gravity in the two
-            pelvis frames, 0 to 2.
+            anchors' frames, 0 to 2 (`bad_anchor_ori`).
         max_end_effector_height_mm: error of the height of a hand or a foot.
         sonic: first time that the height of the pelvis, a hand or a foot was off by more than
             250 mm, or the pelvis's attitude by more than 1 rad; None if there was none.
     """
 
-    max_pelvis_height_mm: float
+    max_anchor_height_mm: float
     max_gravity_difference: float
     max_end_effector_height_mm: float
     sonic: Excess | None = None
+
+
+class MjlabMetrics(Record):
+    """The figures of mjlab's `evaluate` (1.6.0), over its 14 bodies of the G1, at 50 Hz.
+
+    For all but the first and the last, mjlab moves the reference to the place of the robot's
+    torso, keeping the height, and turns it to the torso's heading.
+
+    Attributes:
+        mpkpe_mm: mean distance of the bodies in the world.
+        r_mpkpe_mm: the same after that.
+        ee_pos_error_mm, ee_ori_error_rad: mean distance and angle of hands and feet after that.
+        joint_vel_error_rad_s: mean over the frames of the RMS over the joints; None if the robot
+            reports no velocities.
+    """
+
+    mpkpe_mm: float
+    r_mpkpe_mm: float
+    ee_pos_error_mm: float
+    ee_ori_error_rad: float
+    joint_vel_error_rad_s: float | None
 
 
 class BodyMetrics(Record):
@@ -178,6 +212,7 @@ class BodyMetrics(Record):
         end_effectors: hands and feet, by link.
         pelvis: None if its attitude was not measured.
         terminations: None if its position was not measured.
+        mjlab: None likewise, and for a robot without these bodies, or if only some joints played.
     """
 
     fps: float
@@ -188,6 +223,7 @@ class BodyMetrics(Record):
     end_effectors: dict[str, EndEffectorMetrics]
     pelvis: PelvisMetrics | None
     terminations: TerminationMetrics | None
+    mjlab: MjlabMetrics | None
 
 
 class RobotFrames(NamedTuple):
@@ -322,6 +358,9 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     names = [robot.link_names[i] for i in bodies]
     reference, measured = frames.reference, frames.measured
     ends = [names.index(name) for name in _END_EFFECTORS if name in names]
+    tracked = [name for name in _TRACKED if name in robot.link_names]
+    links = [*bodies, *map(robot.link_index, tracked)]
+    anchored = np.empty((len(frames.motion_time), 6))
     n_frames = len(frames.motion_time)
     alone, relative = np.empty((2, n_frames, len(bodies), 3))
     asked, done = (
@@ -329,19 +368,31 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
         for _ in range(2)
     )
     for part in blocks(n_frames, BLOCK):
-        of_reference = _links(robot, reference, part, bodies)
-        of_measured = _links(robot, measured, part, bodies)
-        alone[part] = of_reference[0].pos - of_measured[0].pos
-        relative[part] = of_reference[1] - of_measured[1]
-        for kept, (links, _) in ((asked, of_reference), (done, of_measured)):
-            kept.pos[part], kept.quat_wxyz[part] = links.pos[:, ends], links.quat_wxyz[:, ends]
-    world = terminations = None
+        of_reference = _links(robot, reference, part, links)
+        of_measured = _links(robot, measured, part, links)
+        alone[part] = (of_reference[0].pos - of_measured[0].pos)[:, : len(bodies)]
+        relative[part] = (of_reference[1] - of_measured[1])[:, : len(bodies)]
+        anchored[part] = _anchored(
+            tracked,
+            *(
+                LinkPoses(
+                    pos[:, len(bodies) :] + state.root_pos[part, np.newaxis],
+                    quat_mul(
+                        state.root_quat_wxyz[part, np.newaxis], poses.quat_wxyz[:, len(bodies) :]
+                    ),
+                )
+                for state, (poses, pos) in ((reference, of_reference), (measured, of_measured))
+            ),
+        )
+        for kept, (poses, _) in ((asked, of_reference), (done, of_measured)):
+            kept.pos[part], kept.quat_wxyz[part] = poses.pos[:, ends], poses.quat_wxyz[:, ends]
+    world = terminations = mjlab = None
     if frames.has_position:
         apart = reference.root_pos - measured.root_pos
         world = relative + apart[:, np.newaxis]
         terminations = TerminationMetrics(
-            max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
-            max_gravity_difference=_gravity_difference(reference, measured),
+            max_anchor_height_mm=float(anchored[:, 4].max() * _MM),
+            max_gravity_difference=float(anchored[:, 5].max()),
             max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max(initial=0.0) * _MM),
             sonic=_first_excess(
                 frames,
@@ -349,6 +400,19 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
                 np.abs(np.column_stack([apart[:, 2], world[:, ends, 2]])),
             ),
         )
+        present = np.flatnonzero(robot.present)
+        if len(tracked) == len(_TRACKED) and np.isin(present, joints).all():
+            means, speeds = anchored.mean(axis=0), (reference.dq - measured.dq)[:, present]
+            known = measured.dq.any() and np.isfinite(speeds).all()
+            mjlab = MjlabMetrics(
+                mpkpe_mm=float(means[0] * _MM),
+                r_mpkpe_mm=float(means[1] * _MM),
+                ee_pos_error_mm=float(means[2] * _MM),
+                ee_ori_error_rad=float(means[3]),
+                joint_vel_error_rad_s=(
+                    float(np.sqrt((speeds**2).mean(axis=1)).mean()) if known else None
+                ),
+            )
     return BodyMetrics(
         fps=FPS,
         frames=n_frames,
@@ -358,6 +422,7 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
         end_effectors={names[link]: _end_effector(asked, done, i) for i, link in enumerate(ends)},
         pelvis=_pelvis_metrics(frames) if frames.has_attitude else None,
         terminations=terminations,
+        mjlab=mjlab,
     )
 
 
@@ -374,7 +439,7 @@ def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
 
 
 def _links(
-    robot: G1, state: RobotFrames, part: slice, bodies: NDArray[np.intp]
+    robot: G1, state: RobotFrames, part: slice, bodies: Sequence[int]
 ) -> tuple[LinkPoses, Floats]:
     """Poses of L bodies in the pelvis's frame, and positions (F, L, 3) rotated by its attitude."""
     poses = forward_kinematics(robot, state.q[part], np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -443,10 +508,10 @@ def _pelvis_metrics(frames: Frames) -> PelvisMetrics:
 
 
 def _angle(a: Floats, b: Floats) -> Floats:
-    """(F,) angles between rotations (F, 4), rad."""
+    """(...) angles between rotations (..., 4), rad."""
     difference = quat_mul(quat_conj(a), b)
     angle: Floats = 2.0 * np.arctan2(
-        np.linalg.norm(difference[:, 1:], axis=1), np.abs(difference[:, 0])
+        np.linalg.norm(difference[..., 1:], axis=-1), np.abs(difference[..., 0])
     )
     return angle
 
@@ -467,9 +532,30 @@ def _first_excess(frames: Frames, links: list[str], heights: Floats) -> Excess |
     return Excess(at_s=at, link=links[worst], height_mm=height)
 
 
-def _gravity_difference(reference: RobotFrames, measured: RobotFrames) -> float:
-    down = [
-        quat_rotate_inverse(one.root_quat_wxyz, np.broadcast_to(_DOWN, one.root_pos.shape))[:, 2]
-        for one in (reference, measured)
-    ]
-    return float(np.abs(down[0] - down[1]).max())
+def _anchored(names: Sequence[str], asked: LinkPoses, done: LinkPoses) -> Floats:
+    """(F, 6) errors of links (F, L) in the world, as BeyondMimic and mjlab define them.
+
+    They are: the mean distance of the links; the same with the reference at the robot's anchor, at
+    its own height and turned to the robot's heading; so the mean distance and angle of the end
+    effectors; the error of the anchor's height; and the difference of gravity's z component in
+    the anchors' frames. Distances are in m, angles in rad.
+    """
+    anchor = names.index(_ANCHOR if _ANCHOR in names else names[0])
+    ends = [names.index(name) for name in _END_EFFECTORS if name in names]
+    asked_quat, done_quat = asked.quat_wxyz[:, anchor], done.quat_wxyz[:, anchor]
+    turn = quat_from_yaw(yaw_of(quat_mul(done_quat, quat_conj(asked_quat))))[:, np.newaxis]
+    origin = done.pos[:, [anchor]].copy()
+    origin[..., 2] = asked.pos[:, [anchor], 2]
+    moved = origin + quat_rotate(turn, asked.pos - asked.pos[:, [anchor]])
+    distance = _norm(moved - done.pos)
+    angle = _angle(quat_mul(turn, asked.quat_wxyz[:, ends]), done.quat_wxyz[:, ends])
+    down = [quat_rotate_inverse(quat, _DOWN)[:, 2] for quat in (asked_quat, done_quat)]
+    errors = (
+        _norm(asked.pos - done.pos).mean(axis=1),
+        distance.mean(axis=1),
+        distance[:, ends].mean(axis=1) if ends else np.zeros(len(distance)),
+        angle.mean(axis=1) if ends else np.zeros(len(distance)),
+        np.abs(asked.pos[:, anchor, 2] - done.pos[:, anchor, 2]),
+        np.abs(down[0] - down[1]),
+    )
+    return np.column_stack(errors)

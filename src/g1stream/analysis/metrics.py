@@ -289,7 +289,7 @@ def _success(
 
     found.success = verdict(followed=followed <= _MOST_LINK_ERROR)
     if moves and (most := body.terminations):
-        heights = max(most.max_pelvis_height_mm, most.max_end_effector_height_mm)
+        heights = max(most.max_anchor_height_mm, most.max_end_effector_height_mm)
         found.success_strict = verdict(
             followed=heights <= _MOST_HEIGHT_ERROR
             and most.max_gravity_difference <= _MOST_GRAVITY_DIFFERENCE

@@ -15,6 +15,7 @@ from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.input_limits import LATEST_NS
+from g1stream.motion.check import dropped_joints
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 from g1stream.session.format import encode_string
@@ -68,7 +69,8 @@ class ConvertReport:
         rate: poses per second.
         start_ns, end_ns: first and last time, ns since the epoch.
         counts: messages by topic.
-        warnings: those of the motion as it was read, and meshes that were not found.
+        warnings: those of the motion as it was read, joints that the robot lacks, and meshes that
+            were not found.
     """
 
     path: Path
@@ -165,6 +167,8 @@ def convert(
             writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
     warnings = motion.warnings
+    if (dropped := dropped_joints(motion, robot)) and dropped.moved:
+        warnings += (f"{motion.name}: {dropped}.",)
     if drawn and drawn.missing:
         warnings += (
             f"{robot.source}: meshes not found: {len(drawn.missing)}, such as "

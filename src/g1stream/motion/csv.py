@@ -75,7 +75,8 @@ def _named(file: MotionFile, table: TextTable) -> Poses:
     order = "wxyz" if column["QW"] < column["QX"] else "xyzw"
     used = {"file": f"CSV, {table.size}, named by a header", "joint order": "named by the file"}
     used["pelvis"] = f"root_pos, root_quat_{order}, {order}"
-    return Poses(file, Evidence(used), joint_pos, root_pos, wxyz_from_xyzw(quat), first_line=2)
+    evidence = Evidence(used, usual=True)
+    return Poses(file, evidence, joint_pos, root_pos, wxyz_from_xyzw(quat), first_line=2)
 
 
 def _lafan1(file: MotionFile, table: TextTable) -> Poses:

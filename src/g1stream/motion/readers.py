@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from g1stream.types import Floats, JointOrder
 
 __all__ = [
+    "ATTACH",
     "BUNDLED_MOTIONS",
     "FORMATS",
     "Evidence",
@@ -44,6 +45,11 @@ __all__ = [
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
 
+ATTACH: Final = (
+    "A recording of a robot is no motion: `g1stream attach RECORDING MOTION` finds when one was "
+    "played in it."
+)
+"""Remedy for a recording that another program made."""
 #: The start of a file that Git LFS has replaced by a pointer.
 _LFS: Final = b"version https://git-lfs"
 #: Bytes that the header of our tables does not have.
@@ -61,12 +67,15 @@ class Evidence:
         assumed: by subject: assumptions about what the file does not specify.
         not_used: unused joints, columns and arrays of the file.
         missing: joints that the file lacks; they stay at 0.
+        usual: the layout is that of LAFAN1, without or with a header, for which the assumptions are
+            right; no warning names them.
     """
 
     used: Mapping[str, str]
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    usual: bool = False
 
     @property
     def assumptions(self) -> dict[str, str]:
@@ -191,14 +200,14 @@ class MotionFile:
         return None
 
     def load(self) -> Motion:
-        """Read the motion; its warnings also name what is assumed. It raises what readers raise."""
+        """Read the motion; warnings name unusual assumptions, too. It raises what readers do."""
         reader, name = self.open(), f"{self.path.name}: "
         evidence, motion = reader.evidence, reader.motion()
         told = [text.removeprefix(name) for text in motion.warnings]
         assumed = tuple(
             f"{name}{subject}: {text}."
             for subject, text in evidence.assumptions.items()
-            if not any(evidence.assumed[subject] in one for one in told)
+            if not (evidence.usual or any(evidence.assumed[subject] in one for one in told))
         )
         return replace(motion, warnings=motion.warnings + assumed) if assumed else motion
 
@@ -209,7 +218,7 @@ class Poses:
 
     Attributes:
         file: the file.
-        told: the evidence about everything but the frame rate.
+        told: the evidence; about the frame rate only if that is not in the file itself.
         joint_pos: (T, 29) rad.
         root_pos: (T, 3) position of the pelvis, m; None if the file has none.
         root_quat_wxyz: (T, 4), of any length above 0; None if the file has none.
@@ -232,7 +241,7 @@ class Poses:
         """The evidence, with that about the frame rate."""
         used, assumed = dict(self.told.used), dict(self.told.assumed)
         if self.file.fps is None and self.fps:
-            used["frame rate"] = f"{self.fps:g} fps, from the file"
+            used.setdefault("frame rate", f"{self.fps:g} fps, from the file")
         elif self.file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
         return replace(self.told, used=used, assumed=assumed)

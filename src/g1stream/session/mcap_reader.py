@@ -106,6 +106,19 @@ class Messages(NamedTuple):
     publish_times: NDArray[np.int64]
     data: Sequence[bytes]
 
+    def plain(self) -> Messages:
+        """The messages without the compression of each one (`compression_mode: message`).
+
+        Raises:
+            ValueError: one is damaged, or they are larger than 512 MiB unpacked.
+        """
+        if not self.data[0].startswith(zstandard.FRAME_HEADER):  # no CDR message begins so
+            return self
+        sizes = [zstandard.frame_content_size(one) for one in self.data]
+        if min(sizes) < 0 or sum(sizes) > UNPACKED:
+            raise ValueError("messages are larger unpacked than they may be, or do not say it")
+        return self._replace(data=[zstandard.decompress(one) for one in self.data])
+
 
 class Slices(Sequence[bytes]):
     """Messages as slices of their chunk, created on access.
@@ -588,7 +601,7 @@ class McapFile:
                 starts[channel].append(found[channel] + start)
         with self._damage_at(group[0].record):
             return {
-                channel: _messages_at(data, np.concatenate(found))
+                channel: _messages_at(data, np.concatenate(found)).plain()
                 for channel, found in starts.items()
             }
 

@@ -11,7 +11,7 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session
 from g1stream.input_limits import FRAMES, NUMBER
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps
-from g1stream.motion.readers import Evidence, MotionFile, MotionReader
+from g1stream.motion.readers import ATTACH, Evidence, MotionFile, MotionReader
 from g1stream.optional import extension
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
@@ -104,7 +104,13 @@ def motion_of(session: Recording, fps: float | None = None) -> Motion:
         converted: MotionReader = extension("read_recording")(MotionFile(session.path, fps))
         return converted.motion()
     columns = "phase", "motion_time", "q", "root_pos", "root_quat_wxyz"
-    reference, path = session.reference, session.path
+    path = session.path
+    if not session.topics.get(ReferenceStream.topic):
+        raise RecordingError(
+            f"{path} has no {ReferenceStream.topic}: nothing was played, or by another program.",
+            ATTACH,
+        )
+    reference = session.reference
     play = reference[reference.read(*columns).phase == Phase.PLAY].read(*columns)
     if len(play) < 2:
         raise RecordingError(

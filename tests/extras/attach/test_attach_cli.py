@@ -56,8 +56,7 @@ def test_the_commands_that_show_sessions_take_the_motion(theirs, tmp_path, run):
 def test_what_the_motion_file_does_not_say_is_told(theirs, command, flags, tmp_path, run):
     path = tmp_path / "rows.csv"
     motion = g1stream.load_motion("demo").resample(30.0)
-    xyzw = motion.root_quat_wxyz[:, [1, 2, 3, 0]]
-    np.savetxt(path, np.column_stack([motion.root_pos, xyzw, motion.joint_pos]), delimiter=",")
+    np.savetxt(path, motion.joint_pos, delimiter=",")
     ended = run(command, theirs, *flags, path)
     assert ended.code == 0
     assert "rows.csv: frame rate: 30 fps, assumed." in ended.err

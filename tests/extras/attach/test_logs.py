@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import g1stream
-from g1stream.errors import RecordingError
+from g1stream.errors import MotionError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
 from written_sessions import turned
 
@@ -100,6 +100,22 @@ def test_columns_that_name_no_joint_or_no_target_are_not_guessed_at(tmp_path, co
     session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
     has(session, q=Q)
     assert "/lowcmd" not in session.topics
+
+
+@pytest.mark.parametrize(
+    "name", ["action_{}", "raw_action/{}", "actions[{}]", "last_action.{}", "cmd_action_{}"]
+)
+def test_raw_actions_are_no_targets(tmp_path, name):
+    """A network's action is (target - default) / scale; the log says which columns are not used."""
+    actions = named(name, (TARGETS - 0.3) / 0.35)
+    columns = {"time": TIME, **named("q_{}", Q), **actions}
+    session = g1stream.open_session(write_csv(tmp_path / "log.csv", columns))
+    has(session, q=Q)
+    assert "/lowcmd" not in session.topics
+    assert session.metadata["log"]["not used"].startswith(", ".join([*actions][:6]))
+    with pytest.raises(MotionError) as refused:
+        g1stream.load_motion(tmp_path / "log.csv")
+    assert "g1stream attach" in refused.value.remedy
 
 
 def test_joints_that_a_log_lacks_are_absent(tmp_path):

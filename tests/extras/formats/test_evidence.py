@@ -137,8 +137,7 @@ def test_a_rate_in_the_name_is_a_hint_alone(tmp_path, motion, name, hinted):
     path = motion.save(tmp_path / f"{name}.csv")
     found = g1stream.load_motion(path)
     assert found.fps == 30.0
-    assert ("--fps" in found.warnings[0]) == hinted
-    assert len(found.warnings) == 1
+    assert ["--fps" in text for text in found.warnings] == [True] * hinted
     assert g1stream.load_motion(path, fps=60).warnings == ()
 
 

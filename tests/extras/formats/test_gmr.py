@@ -11,6 +11,19 @@ from known_arrays import (
     written,
 )
 
+#: The bodies of GMR's `g1_mocap_29dof.xml` in the order of the file.
+BODIES = """
+    pelvis left_hip_pitch_link left_hip_roll_link left_hip_yaw_link left_knee_link
+    left_ankle_pitch_link left_ankle_roll_link left_toe_link pelvis_contour_link
+    right_hip_pitch_link right_hip_roll_link right_hip_yaw_link right_knee_link
+    right_ankle_pitch_link right_ankle_roll_link right_toe_link waist_yaw_link waist_roll_link
+    torso_link head_link head_mocap imu_in_torso left_shoulder_pitch_link left_shoulder_roll_link
+    left_shoulder_yaw_link left_elbow_link left_wrist_roll_link left_wrist_pitch_link
+    left_wrist_yaw_link left_rubber_hand right_shoulder_pitch_link right_shoulder_roll_link
+    right_shoulder_yaw_link right_elbow_link right_wrist_roll_link right_wrist_pitch_link
+    right_wrist_yaw_link right_rubber_hand
+"""
+
 
 def test_gmr_is_what_its_viewer_indexes(wild_motion, tmp_path, oracle):
     path = written(wild_motion, "gmr", tmp_path)
@@ -25,16 +38,24 @@ def test_gmr_is_what_its_viewer_indexes(wild_motion, tmp_path, oracle):
     np.testing.assert_array_equal(wxyz, wild_motion.root_quat_wxyz)
     assert content["root_pos"].flags.writeable
     names, local = content["link_body_list"], content["local_body_pos"]
-    assert local.shape == (40, len(names), 3)
+    assert names == BODIES.split()
+    assert local.shape == (40, 38, 3)
     trajectory = Trajectory(g1stream.Motion.from_arrays(wild_motion.joint_pos, fps=30))
     for frame in (0, 17, 39):
         bodies = oracle.bodies(trajectory.sample(frame / wild_motion.fps))
-        for name, body in bodies.items():
-            close(local[frame, names.index(name)], body.pos, 1e-6)
+        moving = [name for name in names if name in bodies]
+        assert len(moving) == 30
+        for name in moving:
+            close(local[frame, names.index(name)], bodies[name].pos, 1e-6)
         for name, parent, offset in (
             ("left_toe_link", "left_ankle_roll_link", [0.1, 0, -0.02]),
             ("right_toe_link", "right_ankle_roll_link", [0.1, 0, -0.02]),
             ("head_mocap", "torso_link", [0, 0, 0.4]),
+            ("head_link", "torso_link", [0.0039635, 0, -0.044]),
+            ("imu_in_torso", "torso_link", [-0.03959, -0.00224, 0.14792]),
+            ("left_rubber_hand", "left_wrist_yaw_link", [0.0415, 0.003, 0]),
+            ("right_rubber_hand", "right_wrist_yaw_link", [0.0415, -0.003, 0]),
+            ("pelvis_contour_link", "pelvis", [0, 0, 0]),
         ):
             at = bodies[parent]
             turned = Rotation.from_quat(at.quat[[1, 2, 3, 0]]).apply(offset)

@@ -38,6 +38,51 @@ def test_the_pelvis_alone_says_nothing_of_the_order_and_a_hand_does(npz, motion,
     assert "--joint-order" in refused.value.remedy
 
 
+def links(order):
+    """The links as GMR's model or Isaac Lab lists them, with some that have no joint."""
+    joints = [JOINT_LINKS[i] for i in (range(29) if order == "motor" else np.argsort(ISAACLAB))]
+    return ["world", "pelvis", *joints[:6], "left_toe_link", *joints[6:], "head_mocap"]
+
+
+JOINT_LINKS = [
+    "torso_link" if name == "waist_pitch_joint" else name.replace("_joint", "_link")
+    for name in g1stream.JOINT_NAMES
+]
+
+
+@pytest.mark.parametrize("name", ["link_body_list", "body_names"])
+@pytest.mark.parametrize("order", ["motor", "isaaclab"])
+@pytest.mark.parametrize("pose", ["none", "local", "wrong"])
+def test_the_links_in_a_file_tell_the_order_of_a_calm_motion(npz, motion, name, order, pose):
+    """All files of GMR have such a list, some of them positions in the pelvis's frame."""
+    calm = replace(motion, joint_pos=0.05 * motion.joint_pos)
+    at_origin = g1stream.Motion.from_arrays(calm.joint_pos, fps=50)
+    more = {"local_body_pos": bodies(at_origin)["body_pos_w"]} if pose == "local" else {}
+    if pose == "wrong":
+        more = {"local_body_pos": np.zeros((3, 2))}
+    columns = np.empty_like(calm.joint_pos)
+    columns[:, ISAACLAB if order == "isaaclab" else range(29)] = calm.joint_pos
+    listed = links("motor" if pose == "local" else order)  # the bodies themselves say more
+    quat = calm.root_quat_wxyz[:, [1, 2, 3, 0]]
+    path = npz(dof_pos=columns, root_pos=calm.root_pos, root_rot=quat, **more, **{name: listed})
+    found = g1stream.load_motion(path)
+    assert_motion(found, calm)
+    assert found.warnings == ()
+    assert opened(path).evidence.used["joint order"].startswith(order)
+
+
+def test_limits_say_more_than_a_list_of_links(npz, motion, isaac_angles):
+    """Such a list says how links are numbered; a violated limit says that joints are not so."""
+    path = npz(dof=isaac_angles, link_body_list=links("motor"))
+    assert_motion(g1stream.load_motion(path), motion, root=False)
+
+
+@pytest.mark.parametrize("some", [["pelvis", "torso_link"], links("motor")[:20], []])
+def test_a_list_of_some_links_tells_nothing(npz, motion, some):
+    with pytest.raises(MotionError, match="ambiguous"):
+        g1stream.load_motion(npz(dof=0.05 * motion.joint_pos, link_body_list=some))
+
+
 def test_order_told_by_limits(npz, motion, isaac_angles):
     file = opened(npz(q=isaac_angles))
     assert file.evidence.assumed.keys() == {"pelvis"}
@@ -59,7 +104,8 @@ def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, aske
     assert_motion(found, motion)
     told = {text.split(": ")[1] for text in found.warnings}
     hint = {"the joint order was detected only by joint limits; isaaclab"}
-    assert told == {"pelvis"} | (hint if order == "isaaclab" and not asked else set())
+    usual = order == "motor"
+    assert told == (set() if usual else {"pelvis"} if asked else {"pelvis"} | hint)
     np.savetxt(path, np.hstack([pose, 0 * angles]), "%.17g", delimiter=",")
     assert opened(path).evidence.assumed.keys() == {"joint order", "pelvis", "frame rate"}
 

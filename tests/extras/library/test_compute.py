@@ -1,3 +1,5 @@
+import resource
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -6,6 +8,8 @@ import g1stream
 from g1stream.config import Config, load_config
 from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
+from g1stream.extras.library import compute
+from g1stream.extras.library.compute import Content, Task, contents_of, rows_of
 from g1stream.extras.library.files import find_motions
 from g1stream.extras.library.library_cli import swept
 
@@ -77,6 +81,57 @@ def test_converted_files_are_a_library_of_the_same_motions(motions, tmp_path, na
         assert np.abs(before.resample(fps).joint_pos - after.joint_pos).max() < 1e-6
     assert len(outputs) == 3
     assert set(find_motions([str(tmp_path / "converted")])) == {*outputs}
+
+
+@pytest.mark.parametrize("factor", [np.degrees(1.0), 1.0])
+def test_a_motion_in_another_unit_is_refused(tmp_path, factor):
+    """Degrees or centimetres: nothing of it can be judged."""
+    demo = g1stream.load_motion("demo").frames(0, 60)
+    root = demo.root_pos * (1.0 if factor > 1.0 else 100.0)
+    wrong = g1stream.Motion.from_arrays(factor * demo.joint_pos, root, fps=30)
+    path = wrong.save(tmp_path / "wrong.npz")
+    case = g1stream.library.LibraryCase("check", tmp_path)
+    (content,) = (one for _, one in contents_of(str(path)))
+    row = rows_of(Task(str(path), content, case)).motion
+    assert (row.status, row.bolted) == ("refused", None)
+    assert row.looks_like in row.reason
+    assert row.frames == 60
+
+
+def test_joints_that_the_robot_lacks_are_in_the_row(tmp_path):
+    path = g1stream.load_motion("demo").frames(30, 60).save(tmp_path / "part.npz")
+    for name in ("g1_23dof", "g1_29dof"):
+        config = load_config(over={"robot": name})
+        case = g1stream.library.LibraryCase("check", tmp_path, config)
+        row = rows_of(Task(str(path), Content("0"), case)).motion
+        assert row.status == "ok"
+        assert ("waist_roll" in (row.causes or "")) == (name == "g1_23dof")
+
+
+@pytest.mark.parametrize("bug", [False, True])
+def test_an_error_for_lack_of_memory_is_no_bug(tmp_path, monkeypatch, bug):
+    """MuJoCo's are no `MemoryError`."""
+    before = soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = 2**40
+    calls = []
+
+    def check(*_):
+        calls.append(resource.getrlimit(resource.RLIMIT_DATA)[0])
+        if bug or calls[-1] == limit:
+            raise ValueError("Could not allocate memory")
+
+    monkeypatch.setitem(compute._COMPUTE, "check", check)
+    path = g1stream.load_motion("demo").save(tmp_path / "one.npz")
+    task = Task(str(path), Content("0"), g1stream.library.LibraryCase("check", tmp_path))
+    try:
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+        row = rows_of(task).motion
+        assert resource.getrlimit(resource.RLIMIT_DATA) == (limit, hard)
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+    assert (row.status, calls) == ("error" if bug else "huge", [limit, 2 * limit])
+    assert rows_of(task).motion.status == ("error" if bug else "ok")  # without a limit, once
+    assert calls[2:] == [soft]
 
 
 def test_every_combination_of_a_sweep():

@@ -2,9 +2,12 @@ from dataclasses import replace
 
 import pytest
 
+from g1stream.app.convert import convert
 from g1stream.cli.main import main
 from g1stream.extras.physics.result import MotionPhysics
+from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
+from g1stream.robot.model import G1
 
 
 @pytest.fixture
@@ -20,6 +23,20 @@ def test_it_says_with_which_support_a_motion_can_be_played(run, tmp_path):
     assert run(path) == (0, f"{physics}\n", "")
     assert (physics.frames, physics.robot) == (12, "g1_29dof_rev_1_0")
     assert {verdict.playable for verdict in physics.verdicts.values()} == {"yes"}
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_joints_that_the_robot_lacks_are_named_if_the_motion_moves_them(run, tmp_path, moved):
+    """Of 29 joints a G1 of 23 plays 23, which is not the motion in the file."""
+    demo, path = load_motion("demo").frames(30, 42), tmp_path / "part.npz"
+    robot = G1.load("g1_23dof")
+    only = Motion.from_arrays(demo.joint_pos * robot.present, demo.root_pos, fps=30)
+    (demo if moved else only).save(path)
+    code, _, told = run(path, "--robot", "g1_23dof")
+    assert code == 0
+    assert ("waist_roll" in told) == moved
+    report = convert(path, tmp_path / "part.mcap", robot=robot)
+    assert ["waist_roll" in text for text in report.warnings] == [True] * moved
 
 
 def test_it_uses_the_settings(run, tmp_path):

@@ -147,7 +147,7 @@ def test_what_is_shown_of_physics_and_pelvis_depends_on_how_a_robot_was_held(sho
     )
     assert torques == [{"bolted"}, {"follow"}]
     assert not any(".physics.feet." in key for key in page.values)
-    of_pelvis = {"world", "root_relative", "pelvis", "terminations"}
+    of_pelvis = {"world", "root_relative", "pelvis", "terminations", "mjlab"}
     assert not body[0] & of_pelvis
     assert of_pelvis <= body[1]
     assert "pelvis_frame" in body[0]
@@ -157,7 +157,7 @@ def test_what_is_shown_of_physics_and_pelvis_depends_on_how_a_robot_was_held(sho
 def test_the_physics_of_nothing(play, write_session, tmp_path):
     twice = ((1, 0.2), (2, 0.5), (3, 0.2), (2, 0.5), (4, 0.2))
     without = play()._replace(reference=None)
-    cases = {"Several motions": play(phases=twice), "no messages on /reference": without}
+    cases = {"Several motions": play(phases=twice), "has no /reference": without}
     for reason, streams in cases.items():
         path = write_session(*streams, name=f"{reason.replace('/', '')}.mcap")
         assert numbers(path)["sessions"][0]["physics"] is None

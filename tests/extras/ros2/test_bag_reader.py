@@ -4,6 +4,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+import zstandard
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -119,13 +120,53 @@ def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
         (StoragePlugin.SQLITE3, CompressionMode.FILE),
         (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
         (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
         (StoragePlugin.MCAP, CompressionMode.STORAGE),
     ],
 )
 def test_a_compressed_bag(tmp_path, motion, joints, storage, compression):
     topics = {"/joint_states": (JOINT_STATE, joints)}
-    found = load_motion(write_bag(tmp_path / "bag", topics, storage, compression))
-    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    bag = write_bag(tmp_path / "bag", topics, storage, compression)
+    (file,) = (one for one in bag.iterdir() if one.suffix != ".yaml")
+    for path in (bag, file):
+        if path == bag or compression != CompressionMode.FILE:
+            np.testing.assert_array_equal(load_motion(path).joint_pos, motion.joint_pos)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_samples_that_are_compressed_one_by_one(tmp_path, played, storage):
+    """`compression_mode: message`; read also without the metadata.yaml that says so."""
+    q, stamps = (values[:200] for values in played)
+    rows = [row.tobytes() for row in encode_samples(LOWSTATE, {"motor_state.q": q}, len(q))]
+    channel = CHANNELS["/lowstate"]
+    ROS.register(get_types_from_msg(channel.build_schema().decode(), channel.schema_name))
+    topics = {"/lowstate": (channel.schema_name, zip(stamps.tolist(), rows, strict=True))}
+    bag = write_bag(tmp_path / "bag", topics, storage, CompressionMode.MESSAGE)
+    (file,) = (one for one in bag.iterdir() if one.suffix != ".yaml")
+    for path in (bag, file):
+        with pytest.raises(RecordingError) as refused:
+            load_motion(path)
+        assert "g1stream attach" in refused.value.remedy
+        session = g1stream.open_session(path)
+        assert [*session.replay_bytes("/lowstate")] == rows
+        np.testing.assert_array_equal(session.measured.q, np.float32(q))
+
+
+@pytest.mark.parametrize("content", ["cut", "no size", "huge"])
+def test_compressed_messages_that_are_damaged_or_too_large(tmp_path, joints, content):
+    message = ROS.serialize_cdr(joints[0][1], JOINT_STATE)
+    data = bytearray(zstandard.compress(message))
+    if content == "cut":
+        data = data[:-20]
+    elif content == "no size":
+        stream = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+        data = stream.compress(message) + stream.flush()
+    else:  # a frame that says 1 TiB
+        data = b"\x28\xb5\x2f\xfd\xe0" + (2**40).to_bytes(8, "little") + bytes(data[6:])
+    topics = {"/joint_states": (JOINT_STATE, [(START + i * STEP, bytes(data)) for i in range(9)])}
+    for storage in (StoragePlugin.SQLITE3, StoragePlugin.MCAP):
+        with pytest.raises(RecordingError):
+            load_motion(write_bag(tmp_path / storage.name, topics, storage))
 
 
 def test_a_file_without_its_end_is_read_to_the_cut(tmp_path, motion, joints):

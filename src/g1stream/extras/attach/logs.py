@@ -23,7 +23,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNEL_OF
 from g1stream.session.recording import has_essentials
 from g1stream.session.source import MemorySource, SessionFiles, files_of
-from g1stream.text import counted
+from g1stream.text import counted, listed
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ _LEAST_NS: Final = 1e18
 _INTERVALS: Final = ((0.2, 1e9), (2e2, 1e6), (2e5, 1e3), (np.inf, 1.0))
 _UNITS: Final = {"s": 1e9, "sec": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 _TIME_WORDS: Final = {"t", "time", "timestamp", "stamp"}
+#: Number of columns without a meaning that are named.
+_NAMED: Final = 6
 #: Words in column names, by quantity.
 _COMMAND: Final = {
     *("cmd", "lowcmd", "command", "target", "targets", "des", "desired", "ref", "reference"),
@@ -119,7 +121,7 @@ def _csv_log(path: Path) -> MemorySource:
     log = MemorySource(str(path))
     log.paths = [path]
     names, table = _read_table(path)
-    times, clock = _times(names, table, path)
+    times, timed, clock = _times(names, table, path)
     columns: dict[_Column, Floats] = {}
     for name, values in zip(names, table.T, strict=True):
         if column := _column(name):
@@ -139,6 +141,9 @@ def _csv_log(path: Path) -> MemorySource:
                 values[quantity][:, number] = samples
     missing = [name for i, name in enumerate(JOINT_NAMES) if i not in joints]
     told = {"time": clock, "made of": f"CSV, {', '.join(values)} in {counted(len(times), 'row')}"}
+    known = [name for name in names if (one := _column(name)) and one.quantity in values]
+    if unused := [name for name in names if name not in known and name != timed]:
+        told["not used"] = listed(unused, _NAMED)
     _write(log, times, values, told, missing)
     return log
 
@@ -215,8 +220,8 @@ def _read_table(file: Path) -> tuple[list[str], Floats]:
     return names, table
 
 
-def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
-    """Times (N,) of the rows, ns since the epoch, and how they were determined."""
+def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str, str]:
+    """Times (N,) of the rows, ns since the epoch, their column, and how they were determined."""
     for name, values in zip(names, table.T, strict=True):
         words = _words(name)
         if not _TIME_WORDS & {*words} or not (np.diff(values) > 0.0).all():  # False for nan
@@ -235,7 +240,7 @@ def _times(names: Sequence[str], table: Floats, file: Path) -> tuple[Ints, str]:
         start = round(values[0] * factor) if since_epoch else _EPOCH
         times = start + np.round((values - values[0]) * factor).astype(np.int64)
         if (np.diff(times) > 0).all():
-            return times, f"column {name}, in units of {factor:g} ns{assumed}"
+            return times, name, f"column {name}, in units of {factor:g} ns{assumed}"
     raise RecordingError(
         f"{file} has no column of increasing times.",
         "Name a column time_s, time_ms or timestamp_ns. For a motion use `g1stream motion`.",

@@ -18,7 +18,7 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session
 from g1stream.input_limits import LATEST_NS, NUMBER, UNPACKED
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warning
-from g1stream.motion.readers import Evidence
+from g1stream.motion.readers import ATTACH, Evidence
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
@@ -241,7 +241,7 @@ class RecordedMotion:
         raise RecordingError(
             f"{self._path} has no supported joint states, only {has}.",
             "Give a bag with sensor_msgs/msg/JointState in cdr or foxglove.JointStates in "
-            "protobuf, or a session.",
+            f"protobuf, or a session. {ATTACH}",
         )
 
     @cached_property

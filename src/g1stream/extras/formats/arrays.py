@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import json
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import MotionError
-from g1stream.extras.formats.evidence import READ, poses_of
+from g1stream.extras.formats.evidence import BESIDE, READ, poses_of
 from g1stream.extras.formats.pickles import read_pickle, read_torch
+from g1stream.files import read_file
+from g1stream.input_limits import SETTINGS_FILE, check_integers
 from g1stream.motion.npz import read_npy, unzip
 from g1stream.text import listed
 
 if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile, Poses
+
+#: What is used of the file beside an NPZ.
+_BESIDE: Final = ("fps", "joint_names", "body_names")
 
 __all__ = ["motions_in", "open_arrays", "read_arrays"]
 
@@ -23,7 +30,19 @@ def open_arrays(file: MotionFile) -> Poses:
         MotionError: it cannot be read, or has no such motion.
     """
     kind, content = _content(file)
-    return poses_of(file, kind, _one_motion(file, content))
+    return poses_of(file, kind, _one_motion(file, content), beside=_beside(file))
+
+
+def _beside(file: MotionFile) -> dict[str, Any]:
+    """The frame rate, and the names of joints and bodies, in `meta.json` beside the file."""
+    if file.data is not None:
+        return {}
+    with suppress(OSError, ValueError, RecursionError):
+        content = json.loads(read_file(file.path.parent / BESIDE, SETTINGS_FILE))
+        check_integers(content)
+        if isinstance(content, dict):
+            return {name: content[name] for name in _BESIDE if name in content}
+    return {}
 
 
 def _one_motion(file: MotionFile, content: Any) -> dict[str, Any]:

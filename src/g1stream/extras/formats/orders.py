@@ -14,6 +14,8 @@ from g1stream.robot.rotations import quat_normalize
 from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from g1stream.types import Floats
@@ -27,8 +29,11 @@ __all__ = [
     "names_in_order",
     "order_by_bodies",
     "order_by_limits",
+    "order_by_links",
     "set_of",
+    "share_beyond_limits",
     "some_frames",
+    "told_by_limits",
 ]
 
 WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
@@ -144,6 +149,34 @@ def order_by_bodies(
     )
 
 
+def order_by_links(links: Sequence[str], n_joints: int) -> Order | None:
+    """The order of a list of links, as MuJoCo and Isaac Lab number joints like their links.
+
+    Args:
+        links: names of the links or bodies of a robot.
+        n_joints: number of joints in the file.
+
+    Returns:
+        The order; None if the list does not have the links of so many joints.
+    """
+    robot = G1.default()
+    joint_of = dict(zip(robot.link_names, robot.joint_of_link.tolist(), strict=True))
+    names = tuple(JOINT_NAMES[i] for link in links if (i := joint_of.get(link, -1)) >= 0)
+    known = next((order for order, of in layouts(len(names)).items() if of == names), "")
+    if len(names) != n_joints or not known:
+        return None
+    return Order(names, f"{known}{set_of(names)}, that of the links in the file")
+
+
+def told_by_limits(beyond: Sequence[float]) -> bool:
+    """Whether joint limits tell the first of some readings from the others.
+
+    Args:
+        beyond: the share of angles beyond the limits in each, the smallest one first.
+    """
+    return all(one > max(_BEYOND, _TIMES * beyond[0]) for one in beyond[1:])
+
+
 def order_by_limits(angles: Floats, robot: G1 | None, *, motor_assumed: bool) -> Order | str:
     """The order with the fewest angles beyond the joint limits.
 
@@ -158,10 +191,7 @@ def order_by_limits(angles: Floats, robot: G1 | None, *, motor_assumed: bool) ->
         The order; why it is ambiguous if it is.
     """
     names, few = layouts(angles.shape[1]), some_frames(len(angles))
-    beyond = {
-        order: _share_beyond_limits(in_motor_order(angles[few], joints))
-        for order, joints in names.items()
-    }
+    beyond = {order: share_beyond_limits(angles[few], joints) for order, joints in names.items()}
     own = robot and tuple(JOINT_NAMES[joint] for joint in np.flatnonzero(robot.present))
     ranked = sorted(names, key=lambda order: (beyond[order], names[order] != own))
     best = ranked[0]
@@ -205,7 +235,8 @@ def _distance(
     return min(distances)
 
 
-def _share_beyond_limits(joint_pos: Floats) -> float:
-    robot = G1.default()
+def share_beyond_limits(angles: Floats, names: tuple[str, ...]) -> float:
+    """The share of angles (T, n) of the joints `names` beyond their limits, with 0 for the rest."""
+    robot, joint_pos = G1.default(), in_motor_order(angles, names)
     excess = np.maximum(robot.lower - joint_pos, joint_pos - robot.upper)
     return float((excess > _EXCESS).mean())

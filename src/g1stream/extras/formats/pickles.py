@@ -111,6 +111,8 @@ class _Unpickler(pickle.Unpickler):
             return self._plain(self.load())
         except ValueError:
             raise
+        except MemoryError as error:  # a damaged length, or a large file
+            raise ValueError("it is damaged, or needs more memory than there is") from error
         except Exception as error:  # any error that its last operation may raise
             raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from g1stream.extras.formats.evidence import poses_of
+from g1stream.extras.formats.evidence import TIMES, poses_of
 from g1stream.motion.csv import TextTable, cells_of, is_number, take_columns
 from g1stream.motion.motion import ROOT_COLUMNS
+from g1stream.motion.readers import ATTACH
 from g1stream.robot.joints import JOINT_NAMES
 
 if TYPE_CHECKING:
@@ -147,7 +148,8 @@ def _check_header(text: TextTable, line: int) -> None:
         )
     if not _JOINTS & seen or (missing and named):
         lacks = ", ".join(missing) if named else "joint names"
-        raise text.error(f"the header lacks {lacks}", _LAYOUT, line)
+        is_log = not named and any(name.lower() in TIMES for name in text.columns)
+        raise text.error(f"the header lacks {lacks}", ATTACH if is_log else _LAYOUT, line)
 
 
 def _canonical_column(column: str) -> str:

@@ -48,6 +48,7 @@ OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port", "params"}
 #: Maximum length of a motion's name in the name of a file, which has up to 255 bytes, characters.
 _LONGEST_NAME: Final = 50
+_HUGE: Final = "It needs more memory than --memory-limit."
 
 
 @dataclass(frozen=True)
@@ -229,7 +230,24 @@ def _place(path: Path | str, member: str) -> str:
 
 
 def rows_of(task: Task) -> Rows:
-    """Compute the rows of one motion. Any fault of the motion is stored in them."""
+    """Compute the rows of one motion. Any fault of the motion is stored in them.
+
+    MuJoCo has errors of its own if it gets no memory, and a reader may call a file damaged. So a
+    computation that fails so within a memory limit is repeated with twice the memory, and is too
+    large if it does not fail then.
+    """
+    rows, (limit, hard) = _rows(task), resource.getrlimit(resource.RLIMIT_DATA)
+    if (failed := rows.motion.status) in ("broken", "error") and limit != hard:
+        most = 2 * limit if hard == resource.RLIM_INFINITY else min(2 * limit, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+        if _rows(task).motion.status != failed:
+            first, rows = rows.motion, task.rows("huge", _HUGE)
+            rows.motion.seconds, rows.motion.memory = first.seconds, first.memory
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+    return rows
+
+
+def _rows(task: Task) -> Rows:
     begun = time.perf_counter()
     case, rows, path = task.case, task.rows("refused"), Path(task.location)
     row = rows.motion
@@ -248,7 +266,7 @@ def rows_of(task: Task) -> Rows:
         row = rows.motion
         row.reason = _without_name(error.cause, path)
     except MemoryError:
-        row.status, row.reason = "huge", "It needs more memory than --memory-limit."
+        row.status, row.reason = "huge", _HUGE
     except Exception as error:  # a bug must not stop the other motions
         row.status, row.reason = "error", f"{type(error).__name__}: {error}"
     row.seconds = time.perf_counter() - begun
@@ -295,10 +313,15 @@ def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
         for j, name in enumerate(JOINT_NAMES)
     }
     rows.joints += joints.values()
-    if report.in_si_units:
-        max_tilt = case.config.safety.max_tilt
-        found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
-        _add_physics(found, row, joints)
+    if not report.in_si_units:
+        raise MotionError(
+            f"It looks as if {report.suspicion}.", "Convert it to radians and metres."
+        )
+    max_tilt = case.config.safety.max_tilt
+    found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
+    _add_physics(found, row, joints)
+    if report.dropped and report.dropped.moved:
+        row.causes = "; ".join(filter(None, [row.causes, str(report.dropped)]))
 
 
 def _add_physics(found: MotionPhysics, row: MotionRow, joints: dict[str, JointRow]) -> None:

@@ -88,7 +88,7 @@ class MotionRow(Record):
     )
     free: Playable | None = column("whether it can be played standing free")
     feet: Playable | None = column("whether it can be played on its own feet, changed to stand")
-    causes: str | None = column("problems by support")
+    causes: str | None = column("problems by support, and joints that the robot lacks")
     within_limits: bool | None = column("whether it keeps the position and speed limits")
     looks_like: str | None = column("likely fault if a limit is exceeded")
     max_speed: float | None = column("highest joint speed", "rad/s")

@@ -46,7 +46,10 @@ class Physics(SettingsCommand, MotionFlags):
             print_warning(robot.warning)
         motion = self.load(self.motions, robot)
         print_warning(*motion.warnings)
-        require_si_units(check_motion(motion, robot, rate=config.stream.rate))
+        report = check_motion(motion, robot, rate=config.stream.rate)
+        require_si_units(report)
+        if report.dropped and report.dropped.moved:
+            print_warning(f"{motion.name}: {report.dropped}.")
         frames = Interval.from_config(config.stream, motion).frames(motion)
         played = robot.select(config.stream.played_joints)
         with showing_progress() as progress:

@@ -162,13 +162,20 @@ _SUCCESS: Final = (
     Column("spoilt by", "ms", "spoilt_by_ms"),
 )
 _TERMINATIONS: Final = (
-    Column("pelvis's height", "mm", "max_pelvis_height_mm", ".1f"),
+    Column("torso's height", "mm", "max_anchor_height_mm", ".1f"),
     Column("hand's or foot's height", "mm", "max_end_effector_height_mm", ".1f"),
     Column("gravity", "", "max_gravity_difference", ".3f"),
     Column("beyond SONIC's limits", "first", "sonic.link"),
     Column("at", "s", "sonic.at_s", ".2f"),
     Column("height", "mm", "sonic.height_mm", ".1f"),
     Column("rotation", "deg", "sonic.rotation_rad", ".1f", _DEG),
+)
+_MJLAB: Final = (
+    Column("MPKPE", "mm", "mpkpe_mm", ".1f"),
+    Column("R-MPKPE", "mm", "r_mpkpe_mm", ".1f"),
+    Column("end effectors", "mm", "ee_pos_error_mm", ".1f"),
+    Column("rotation", "deg", "ee_ori_error_rad", ".1f", _DEG),
+    Column("joint velocity", "rad/s", "joint_vel_error_rad_s", ".3f"),
 )
 _OVERVIEW: Final = (
     Column("RMSE", "deg", "metrics.tracking.all_joints.rmse_rad", ".3f", _DEG),
@@ -249,6 +256,7 @@ def tables(metrics: Mapping[str, Any], key: str, *, held: bool = False) -> dict[
         "joints": table_of("joint", _JOINTS, each("tracking.joints")),
         "links": table_of("links", _LINKS, spaces),
         "end_effectors": table_of("hand or foot", _END_EFFECTORS, each("body.end_effectors")),
+        "mjlab": table_of("", _MJLAB, {} if held else {"body.mjlab": "as mjlab evaluates"}),
         "pelvis": table_of("", _PELVIS, pelvis),
         "torque": table_of("", _ALL_TORQUES, {"torque": "all joints"}),
         "torques": table_of("joint", _TORQUES, each("torque.joints")),

@@ -87,7 +87,7 @@ class _Bag:
                     if not all(isinstance(one, bytes) for one in data):
                         raise ValueError("a message has no content")
                     published = np.array(times, dtype=np.int64)
-                    yield topic, Messages(published, published, data)
+                    yield topic, Messages(published, published, data).plain()
 
     @contextmanager
     def _opened(self) -> Iterator[Reader]:

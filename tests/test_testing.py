@@ -16,7 +16,7 @@ CONFIG = Config.model_validate(
 
 @pytest.fixture
 def planned():
-    return plan("demo", CONFIG)
+    return plan("demo", CONFIG, simulated=True)
 
 
 def test_a_session_over_the_fakes(planned):

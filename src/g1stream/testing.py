@@ -5,7 +5,7 @@ can be asserted to the nanosecond:
 
     clock = FakeClock()
     link = FakeLink(clock)
-    loop = make_loop(plan(motion, config), link, clock)  # of g1stream.control
+    loop = make_loop(plan(motion, config, simulated=True), link, clock)  # of g1stream.control
     loop.run()
     assert link.phases()["DAMP"] == 500
 

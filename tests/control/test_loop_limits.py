@@ -65,7 +65,7 @@ def test_states_of_a_stall_are_received_before_their_age_is_checked(make_loop, l
 @pytest.mark.parametrize(("support", "damps"), [("free", True), ("hanging", False), (None, False)])
 def test_a_tilt_ends_the_session_of_a_robot_that_nothing_holds(link, clock, motion, support, damps):
     """By 1.2 rad: as far as a robot that hangs may swing, and as one that falls."""
-    loop = control_loop.make_loop(plan(motion, Config()), link, clock, settle=0)
+    loop = control_loop.make_loop(plan(motion, Config(), simulated=True), link, clock, settle=0)
     turned = np.array([np.cos(0.6), 0.0, np.sin(0.6), 0.0], np.float32)
     link.at_send(20, lambda: link.robot.quaternion.__setitem__(slice(None), turned))
     with link.held(support):

@@ -59,7 +59,7 @@ def policy(monkeypatch):
 
 @pytest.mark.usefixtures("policy")
 def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion, events):
-    planned = plan(motion, CONFIG)
+    planned = plan(motion, CONFIG, simulated=True)
     assert planned.motion.name == "changed"
     assert [values.tolist() for values in planned.gains] == [values.tolist() for values in GAINS]
     assert planned.events[0][1] == "as the policy knows it"
@@ -79,7 +79,7 @@ def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
     link, clock, motion, monkeypatch
 ):
     """32 ticks are skipped, and two commands cannot be written."""
-    planned, send, refused = plan(motion, CONFIG), link.send, []
+    planned, send, refused = plan(motion, CONFIG, simulated=True), link.send, []
     for n in range(20, 240, 7):
         clock.oversleeps[clock.now() + 2_000_000 * n] = 3_000_000
 
@@ -102,13 +102,13 @@ def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
 @pytest.mark.usefixtures("policy")
 def test_a_source_refuses_a_motion_before_anything_is_sent(motion):
     with pytest.raises(MotionError, match="too fast"):
-        plan(replace(motion, fps=100.0), CONFIG)
+        plan(replace(motion, fps=100.0), CONFIG, simulated=True)
 
 
 def test_a_source_that_is_not_installed_is_named_with_its_extra(monkeypatch, motion):
     monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.nowhere.source:Policy")
     with pytest.raises(ConfigError) as refused:
-        plan(motion, CONFIG)
+        plan(motion, CONFIG, simulated=True)
     assert "pip install 'g1stream[nowhere]'" in refused.value.remedy
 
 
@@ -117,4 +117,4 @@ def test_a_source_that_is_not_installed_is_named_with_its_extra(monkeypatch, mot
 )
 def test_without_an_extra_torques_are_those_of_a_held_robot(motion, kind, source):
     settings = Config.model_validate({"stream": {"feedforward": kind}})
-    assert type(plan(motion, settings).source) is source
+    assert type(plan(motion, settings, simulated=True).source) is source

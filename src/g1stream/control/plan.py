@@ -13,11 +13,9 @@ from g1stream.control.combinations import require_combination
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.receiver import load_receiver
 from g1stream.control.sources import load_source
-from g1stream.control.wire_settings import for_wire
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
-from g1stream.network import is_local_only
 from g1stream.robot.model import G1
 from g1stream.session.records import SessionInfo
 
@@ -99,14 +97,13 @@ class Plan:
             _LOGGER.log(level, "%s", text)
 
 
-def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None = None) -> Plan:
+def plan(motion: Motion | str | Path, config: Config, *, simulated: bool) -> Plan:
     """Resolve a motion and settings into a plan; nothing is sent or written.
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        config: all settings.
-        simulated: only a simulator can be reached, and settings apply as given; None: determined
-            from the interface, and settings depend on the receiver, see `for_wire`.
+        config: all settings; for DDS those of `for_wire`.
+        simulated: only a simulator can be reached.
 
     Raises:
         ConfigError: a setting conflicts with others or the motion, or an extra is not installed.
@@ -114,9 +111,6 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
         SafetyError: the motion is beyond the robot's limits.
         RobotError: there is no dynamics model of this robot.
     """
-    if simulated is None:
-        config = for_wire(config)
-        simulated = is_local_only(config.dds.interface)
     settings = config.stream
     robot = G1.of_config(config)
     played = robot.select(settings.played_joints)

@@ -152,7 +152,7 @@ def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config, monkeypat
     monkeypatch.setattr("g1stream.control.receiver.SERVICE_TIMEOUT", 0.5)
     config = config.model_copy(update={"robot": "g1_23dof"})
     with still_robot(crc=bytes(4), serves=False) as participant:
-        report = inspect_for_arming(participant, plan(STILL, config))
+        report = inspect_for_arming(participant, plan(STILL, for_wire(config), simulated=True))
     assert "motors" in {one.about for one in report.findings}
     assert report.motion_service.level is Level.WARNING
     assert report.furthest.distance == pytest.approx(-0.1)
@@ -160,7 +160,7 @@ def test_what_no_robot_has_confirmed_is_a_warning(still_robot, config, monkeypat
 
 def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
     with still_robot(crc=b"\1\2\3\4") as participant, pytest.raises(WireError):
-        inspect_for_arming(participant, plan(STILL, config))
+        inspect_for_arming(participant, plan(STILL, for_wire(config), simulated=True))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from g1stream.config import load_config
 from g1stream.control.combinations import require_combination
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
+from g1stream.control.wire_settings import for_wire
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
 from g1stream.extras.onboard.receiver import OnboardController
@@ -51,7 +52,9 @@ def made(link, clock):
         over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
         over["safety.state_timeout"] = 0.1
         over |= {f"stream.{name}": value for name, value in settings.items()}
-        return make_loop(plan(motion, load_config(over=over)), link, clock, settle=0)
+        return make_loop(
+            plan(motion, for_wire(load_config(over=over)), simulated=True), link, clock, settle=0
+        )
 
     return make
 

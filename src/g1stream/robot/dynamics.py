@@ -50,7 +50,6 @@ __all__ = [
     "InverseDynamics",
     "Momentum",
     "Solution",
-    "centres_of_mass",
     "compiled_dynamics",
     "friction_torque",
     "mujoco_spec",
@@ -328,31 +327,6 @@ def compiled_dynamics(robot: G1, gravity: float) -> Any:
             f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
             "Correct the URDF; every moving link needs a mass and an inertia.",
         ) from error
-
-
-@lru_cache(maxsize=KEPT_ROBOTS)
-def centres_of_mass(robot: G1) -> Floats:
-    """(L, 3) centre of mass of each link and the links fixed to it, m, in the link's frame.
-
-    These are the bodies in simulators that merge the links of fixed joints. Zero for a link that is
-    fixed to another one.
-
-    Raises:
-        RobotError: MuJoCo does not accept the URDF.
-    """
-    import mujoco
-
-    model = compiled_dynamics(robot, GRAVITY)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    centres = np.zeros((len(robot.link_names), 3))
-    for link in np.flatnonzero((robot.joint_of_link >= 0) | (robot.parent < 0)):
-        body = model.body(robot.link_names[link]).id
-        merged = model.body_weldid == body
-        centre = np.average(data.xipos[merged], axis=0, weights=model.body_mass[merged])
-        centres[link] = data.xmat[body].reshape(3, 3).T @ (centre - data.xpos[body])
-    centres.setflags(write=False)
-    return centres
 
 
 def friction_torque(dq: Floats, parameters: Parameters = NOMINAL) -> Floats:

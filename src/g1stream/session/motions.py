@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import MotionError, RecordingError
+from g1stream.errors import RecordingError
 from g1stream.files import is_session
 from g1stream.input_limits import FRAMES, NUMBER
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps
@@ -17,7 +17,6 @@ from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.recording import open_recording
-from g1stream.session.records import MotionInfo, read_record
 from g1stream.session.source import JOINT_STATES, files_of
 from g1stream.session.streams import MAX_GAP_NS, STREAMS, ReferenceStream
 from g1stream.text import counted
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = [
     "GAP_PERIODS",
     "PAUSE_NS",
-    "attached_motion",
     "motion_of",
     "motion_of_poses",
     "open_played",
@@ -118,24 +116,6 @@ def motion_of(session: Recording, fps: float | None = None) -> Motion:
             "Give a session in which `g1stream stream` reached the phase PLAY.",
         )
     return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
-
-
-def attached_motion(session: Recording) -> Motion | None:
-    """The motion in the attached file, if it is the one that was played.
-
-    It is None if no file is attached, or if the played motion differs from the file's.
-    """
-    info, _ = read_record(MotionInfo, session.metadata.get("motion"))
-    if info is None or info.source is None or info.content_sha256 is None:
-        return None
-    path = Path(info.source)
-    member = None if info.name == path.stem else info.name  # its name in a file of several
-    try:
-        data = session.attachments[path.name]
-        motion = MotionFile(path, info.fps, member=member, data=data).open().motion()
-    except (KeyError, MotionError):
-        return None
-    return motion if motion.content_sha256 == info.content_sha256 else None
 
 
 def motion_of_poses(

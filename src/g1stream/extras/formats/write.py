@@ -6,7 +6,7 @@ docs/formats.md describes the layouts, which the programs that read the files de
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
@@ -18,7 +18,7 @@ from g1stream.extras.formats.table import WRITTEN
 from g1stream.files import check_not_input, check_suffix, complete_directory, complete_file
 from g1stream.motion.motion import Motion
 from g1stream.optional import load_object
-from g1stream.robot.dynamics import centres_of_mass
+from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import link_velocities, pose_blocks
 from g1stream.robot.model import G1
@@ -28,6 +28,7 @@ from g1stream.robot.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
+from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.text import counted, listed
 from g1stream.types import Velocities
 
@@ -189,7 +190,7 @@ class Take:
         """The joints and bodies of each frame."""
         frames, links, n_frames = self.frames, self.links, self.n_frames
         joint_vel, root_lin_vel, root_ang_vel = self._rates()
-        points = centres_of_mass(self.robot) if self.layout.of_centre else None
+        points = _centres_of_mass(self.robot) if self.layout.of_centre else None
         bodies = [np.empty((n_frames, len(links), n), np.float32) for n in (3, 4, 3, 3)]
         poses = pose_blocks(
             self.robot, frames.joint_pos, frames.root_pos, frames.root_quat_wxyz, links
@@ -287,3 +288,28 @@ def _check(take: Take, name: str) -> None:
             f"{listed(robot.ignored_joints, 3)}.",
             "Give a URDF in which these joints are fixed.",
         )
+
+
+@lru_cache(maxsize=KEPT_ROBOTS)
+def _centres_of_mass(robot: G1) -> Floats:
+    """(L, 3) centre of mass of each link and the links fixed to it, m, in the link's frame.
+
+    These are the bodies in simulators that merge the links of fixed joints. Zero for a link that is
+    fixed to another one.
+
+    Raises:
+        RobotError: MuJoCo does not accept the URDF.
+    """
+    import mujoco
+
+    model = compiled_dynamics(robot, GRAVITY)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    centres = np.zeros((len(robot.link_names), 3))
+    for link in np.flatnonzero((robot.joint_of_link >= 0) | (robot.parent < 0)):
+        body = model.body(robot.link_names[link]).id
+        merged = model.body_weldid == body
+        centre = np.average(data.xipos[merged], axis=0, weights=model.body_mass[merged])
+        centres[link] = data.xmat[body].reshape(3, 3).T @ (centre - data.xpos[body])
+    centres.setflags(write=False)
+    return centres

@@ -30,12 +30,15 @@ from g1stream.extras.report.figures import figures
 from g1stream.extras.report.tables import overview, physics_tables, policy_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.motion.limits import Interval
+from g1stream.motion.readers import MotionFile
 from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.session.motions import attached_motion
+from g1stream.session.records import MotionInfo, read_record
 from g1stream.text import counted, printable, short_name
 
 if TYPE_CHECKING:
+    from g1stream.motion.motion import Motion
+    from g1stream.session.recording import Recording
     from g1stream.types import StreamSupport
 
     Given: TypeAlias = Session | str | os.PathLike[str]
@@ -271,7 +274,7 @@ def session_physics(
         return "Several motions were played."
     fps, ended = (summary.motion and summary.motion.fps) or _FPS, summary.termination
     try:
-        motion = session.motion() if session.converted else attached_motion(session)
+        motion = session.motion() if session.converted else _attached_motion(session)
         if motion and ended.played_s:
             frames = Interval(ended.start_s, ended.played_s).frames(motion)
         else:
@@ -352,3 +355,21 @@ def _resource(jinja: Any, name: str) -> Any:
     """A file of this directory, inserted without escaping."""
     text = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
     return jinja.utils.markupsafe.Markup(text)
+
+
+def _attached_motion(session: Recording) -> Motion | None:
+    """The motion in the attached file, if it is the one that was played.
+
+    It is None if no file is attached, or if the played motion differs from the file's.
+    """
+    info, _ = read_record(MotionInfo, session.metadata.get("motion"))
+    if info is None or info.source is None or info.content_sha256 is None:
+        return None
+    path = Path(info.source)
+    member = None if info.name == path.stem else info.name  # its name in a file of several
+    try:
+        data = session.attachments[path.name]
+        motion = MotionFile(path, info.fps, member=member, data=data).open().motion()
+    except (KeyError, MotionError):
+        return None
+    return motion if motion.content_sha256 == info.content_sha256 else None

@@ -6,7 +6,9 @@ Clips of the motions (default: demo, whole) are played in the lockstep simulator
 is removed. `found` has, over all clips, the greatest errors of start and speed where it is found
 again: by commands, by measured joints alone, whose start is late by the robot's lag; with 5 ms of
 jitter in the clock; with a tenth of the messages missing; played at other speeds; twice in one
-file. `pairs` counts the clips accepted in sessions of another clip. `cost` is the time to find a
+file. `held` has the greatest errors of start and delay for clips of `HELD_LENGTHS`, whose targets
+a robot holds from 8 ms after it gets them; each target is sent once, or repeated 500 times a
+second. `pairs` counts the clips accepted in sessions of another clip. `cost` is the time to find a
 motion in ten minutes, in a file on disk, and its ratio to the session's length.
 """
 
@@ -38,6 +40,9 @@ if TYPE_CHECKING:
 COMMANDS, STATES = "/lowcmd", "/lowstate"
 SPEEDS = (0.5, 0.9, 1.25)
 TEN_MINUTES = 600.0
+HELD_RATES = (25, 50, 100)
+HELD_LENGTHS = (4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
+RESPONSE = 0.008
 
 
 def clips_of(motions: list[str], n: int, seconds: float) -> list[Motion]:
@@ -104,6 +109,31 @@ def errors(cases: list[tuple[Session, Motion, int, float]]) -> dict[str, Any]:
     }
 
 
+def held(motion: Motion, rate: int, *, repeated: bool) -> tuple[float, float]:
+    """Errors of the start and of the delay, ms, with a robot that holds the targets of a motion."""
+    trajectory, begins = Trajectory(motion), 3.0
+    times = np.arange(0.0, motion.duration + 2.0 * begins, 0.002)
+
+    def last_step(at: np.ndarray) -> np.ndarray:
+        return np.asarray(np.floor(at * rate + 1e-6) / rate)
+
+    sent, seen = times if repeated else np.unique(last_step(times)), last_step(times - RESPONSE)
+    source = MemorySource("held")
+    for topic, at, step in ((LOWCMD, sent, last_step(sent)), (LOWSTATE, times, seen)):
+        q = trajectory.sample_joints((step - begins).clip(0.0))[0]
+        fields = {"motor_cmd.q": q, "motor_cmd.kp": np.full(q.shape, 50.0)}
+        if topic is LOWSTATE:
+            fields = {"motor_state.q": q}
+        stamps = EPOCH + np.round(at * 1e9).astype(np.int64)
+        data = encode_samples(topic, fields, len(q))
+        source.write_batch(topic.name.replace("rt", ""), data, stamps + 100_000, stamps)
+    session = g1stream.Session(source).attach(motion)
+    delay = session.tracking().delay
+    assert delay
+    start = (session.start_ns - EPOCH) / 1e9 - begins
+    return 1e3 * abs(start), 1e3 * abs(delay.seconds - float(np.mean(times - seen)))
+
+
 def write_long(path: Path, motion: Motion) -> None:
     """Ten minutes of commands and states, 500 a second, with the motion after a minute."""
     trajectory = Trajectory(motion)
@@ -152,6 +182,14 @@ def main() -> None:
         motions = clips[:: max(1, len(clips) // 4)]
         cases = [(changed(a), b, a.start_ns, speed) for a, b in zip(sessions, motions, strict=True)]
         found[f"at speed {speed:g}"] = errors(cases)
+    parts = [g1stream.load_motion(args.motions[0]).trim(0.0, length) for length in HELD_LENGTHS]
+    of_held = {
+        f"{rate} Hz, {'500 times a second' if again else 'once'}": np.max(
+            [held(part, rate, repeated=again) for part in parts], axis=0
+        ).tolist()
+        for rate in HELD_RATES
+        for again in (False, True)
+    }
     own, others = 0, 0
     for i, run in enumerate(runs):
         session = changed(run)
@@ -173,11 +211,15 @@ def main() -> None:
         took = time.perf_counter() - begun
     cost = {"find_s": round(took, 2), "times_real_time": round(TEN_MINUTES / took)}
     if args.json:
-        print(json.dumps({"found": found, "pairs": pairs, "cost": cost}, indent=2))
+        every = {"found": found, "held": of_held, "pairs": pairs, "cost": cost}
+        print(json.dumps(every, indent=2))
         return
     print(f"{'':20}{'found':>12}{'start, ms':>12}{'speed, %':>12}{'similarity':>12}")
     for name, row in found.items():
         print(f"{name:20}" + "".join(f"{value:>12}" for value in row.values()))
+    print(f"\n{'held targets':28}{'start, ms':>12}{'delay, ms':>12}")
+    for name, (start, delay) in of_held.items():
+        print(f"{name:28}{start:>12.3f}{delay:>12.3f}")
     print(f"\nsessions of the clip itself: {pairs['own']}; of another clip: {pairs['others']}")
     print(f"ten minutes: {cost['find_s']} s, {cost['times_real_time']} times real time")
 

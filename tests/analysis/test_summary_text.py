@@ -19,6 +19,8 @@ from g1stream.session.records import (
 from g1stream.text import WIDTH
 from g1stream.types import Phase
 
+#: Lines of a small terminal.
+SCREEN = 24
 SNAPSHOT = Path(__file__).with_name("summary.txt")
 
 STREAM = StreamSummary(
@@ -233,13 +235,16 @@ CASES = {
 
 def test_the_text_is_the_snapshots_and_fits_a_terminal():
     """UPDATE_SNAPSHOTS=1 writes it anew."""
-    text = "".join(f"=== {name}\n{case}\n" for name, case in CASES.items())
+    text = "".join(
+        f"=== {name}\n{case}\n--- details\n{case.details}\n" for name, case in CASES.items()
+    )
     if os.environ.get("UPDATE_SNAPSHOTS"):
         SNAPSHOT.write_text(text)
     assert text == SNAPSHOT.read_text()
     lines = text.splitlines()
     assert max(map(len, lines)) <= WIDTH
     assert not any(line != line.rstrip() for line in lines)
+    assert len(str(CASES["a recorded session"]).splitlines()) <= SCREEN
 
 
 def test_a_motion_that_was_not_played_has_no_tracking_error_to_miss():

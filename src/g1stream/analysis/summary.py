@@ -54,6 +54,12 @@ TO_ITS_END: Final = 0.1
 _LABEL: Final = 14
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
+#: Labels of the facts that the short text has.
+_BRIEF: Final = {
+    *("session", "part of", "log", "motion", "reference", "joints", "ended"),
+    *("commands", "lateness", "states", "balance", "time", "slowed", "stalls"),
+    *("clamped", "too fast", "too strong", "saturated"),
+}
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
 #: A longer wait of the motion for the robot's time is shown, s.
@@ -238,17 +244,62 @@ class Summary(Record):
         return (self.last_ns - self.first_ns) / 1e9
 
     def __str__(self) -> str:
-        """The summary as text of `WIDTH` columns, with sections for what there is."""
-        # The counters are those of the whole session, not of a selection.
-        stream = stream_facts(self.stream) if self.stream and not self.selected else []
-        sections = (
-            _lines(session_facts(self)),
-            _tracking_lines(self.tracking, self) if self.tracking else [],
-            _lines(stream),
-            _message_lines(self),
-            _lines([("problems", text) for text in _problems(self.problems)]),
+        """The result in one screen of `WIDTH` columns: what went wrong, and how well it went."""
+        tracking, stream = self.tracking, stream_facts(self._counted) if self._counted else []
+        facts = [one for one in session_facts(self) if one[0] in _BRIEF]
+        delay = [("delay", _delay(self, tracking))] if tracking else []
+        lost = {topic: one.lost for topic, one in self.topics.items() if one.lost}
+        return _text(
+            _lines([*_verdict(self), *facts]),
+            _limb_table(tracking) if tracking else [],
+            _lines(
+                [
+                    *delay,
+                    *_success(self),
+                    *(one for one in stream if one[0] in _BRIEF),
+                    ("lost", ", ".join(f"{n} on {topic}" for topic, n in lost.items())),
+                ]
+            ),
         )
-        return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+    @property
+    def details(self) -> str:
+        """All that is known, as text of `WIDTH` columns."""
+        tracking, delay = self.tracking, []
+        if tracking:
+            excluded = f"; {tracking.excluded_states} in gaps of the reference excluded"
+            compared = f"{counted(tracking.compared_states, 'state')} over "
+            compared += f"{tracking.compared_s:.2f} s of PLAY"
+            compared += excluded if tracking.excluded_states else ""
+            delay = [
+                ("delay", _delay(self, tracking)),
+                ("without it", _without_delay(tracking)),
+                ("compared", compared),
+            ]
+        return _text(
+            _lines([*_verdict(self), *session_facts(self)]),
+            _limb_table(tracking) if tracking else [],
+            _lines([*delay, *_success(self)]),
+            _lines(stream_facts(self._counted) if self._counted else []),
+            _message_lines(self),
+        )
+
+    @property
+    def _counted(self) -> StreamSummary | None:
+        """The counters of the stream, which are those of the whole session."""
+        return None if self.selected else self.stream
+
+
+def _text(*sections: list[str]) -> str:
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _verdict(summary: Summary) -> list[tuple[str, str]]:
+    """The problems, first of all."""
+    rest = len(summary.problems) - _MOST_PROBLEMS
+    more = [f"and {rest} more; --json lists all"] if rest > 0 else []
+    shown = (*summary.problems[:_MOST_PROBLEMS], *more) or ("none found",)
+    return [("problems", text) for text in shown]
 
 
 def outcome(summary: Summary) -> str:
@@ -285,7 +336,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
     motion, recorder, stream = summary.motion, summary.recorder, summary.stream
     ramp = ""
     if stream and stream.ramp_s is not None and stream.ramp_speed_rad_s is not None:
-        ramp = f" (to {stream.ramp_speed_rad_s:.2f} rad/s)"
+        ramp = f" (at most {stream.ramp_speed_rad_s:.2f} rad/s)"
     phases = [
         f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
         for one in summary.phases
@@ -308,6 +359,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         ("part of", _WHOLE if summary.selected else ""),
         ("log", "; ".join(f"{name}: {text}" for name, text in summary.log.items())),
         ("motion", _motion(motion) if motion else ""),
+        ("sha256", _hash(motion) if motion else ""),
         ("reference", _attached(summary.attached) if summary.attached else ""),
         ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),
         ("joints", _joints(summary)),
@@ -339,7 +391,7 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         lateness += f"{late.max:.0f}{of}"
     if stream.states_received is not None:
         lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
-        states = f"{stream.states_received} received{lost}"
+        states = f"{stream.states_received} received by the stream{lost}"
     if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
         time = f"the simulator ran at {stream.time_scale:.2f} of real time"
     if stream.waited_s and abs(stream.waited_s) > _WAITED:
@@ -406,10 +458,14 @@ def _motion(motion: MotionInfo) -> str:
     parts += [counted(motion.frames, "frame")] if motion.frames else []
     parts += [f"{motion.fps:g} fps"] if motion.fps else []
     parts += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
-    if motion.sha256 or motion.content_sha256:  # joined motions come from no one file
-        of = "" if motion.sha256 else "of its frames "
-        parts.append(f"sha256 {of}{(motion.sha256 or motion.content_sha256 or '')[:12]}")
     return ", ".join([*parts, *motion.operations])
+
+
+def _hash(motion: MotionInfo) -> str:
+    """The start of the hash of the motion's file; joined motions come from no one file."""
+    of = "" if motion.sha256 else "of its frames "
+    value = motion.sha256 or motion.content_sha256 or ""
+    return f"{of}{value[:12]}" if value else ""
 
 
 def _part(motion: MotionInfo) -> str:
@@ -473,7 +529,7 @@ def _ended(summary: Summary) -> str:
     return f"{how}; played {played:.1f} of {of}" + (f" from {start:.1f} s" if start else "")
 
 
-def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
+def _limb_table(tracking: TrackingSummary) -> list[str]:
     rows = [("limb", "RMSE rad", "RMSE deg", "max deg", "at s", "worst joint by RMSE", "deg")]
     for limb, error in {**tracking.limbs, "all joints": tracking.all_joints}.items():
         worst = error.worst_joint or ""
@@ -488,23 +544,7 @@ def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
                 f"{math.degrees(tracking.joints[worst].rmse_rad):.3f}",
             )
         )
-    excluded = f"; {tracking.excluded_states} in gaps of the reference excluded"
-    compared = (
-        f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
-        + (excluded if tracking.excluded_states else "")
-    )
-    if summary.attached and summary.attached.by_robot:
-        delay = "unknown: the robot's own joints gave the start of the motion"
-    elif not summary.topics and tracking.all_joints.delay_s is None:
-        delay = "only computed for recordings: give --record"
-    else:
-        preview = summary.stream.preview_s if summary.stream else None
-        delay = _delay(tracking, preview, known=not summary.attached or preview is not None)
-    return [
-        *table(rows, left=(0, 5)),
-        "",
-        *_lines([("delay", delay), ("compared", compared), *_success(summary)]),
-    ]
+    return table(rows, left=(0, 5))
 
 
 def _success(summary: Summary) -> list[tuple[str, str]]:
@@ -534,32 +574,40 @@ def _attached(info: AttachedInfo) -> str:
     )
 
 
-def _delay(tracking: TrackingSummary, preview: float | None, *, known: bool) -> str:
-    """The delay in words; if the preview is not `known`, the reference is what commands told."""
-    delay = tracking.all_joints.delay_s
+def _delay(summary: Summary, tracking: TrackingSummary) -> str:
+    """The delay of the robot, and that of its commands, which are ahead to compensate it."""
+    delay, within = tracking.all_joints.delay_s, tracking.all_joints.delay_ci95_s
+    attached, preview = summary.attached, summary.stream and summary.stream.preview_s
+    if attached and attached.by_robot:
+        return "unknown: the robot's own joints gave the start of the motion"
     if delay is None:
+        if not summary.topics:
+            return "only computed for recordings: give --record"
         return "unknown: too little movement, or no delay explains the error"
-    within = tracking.all_joints.delay_ci95_s
-    sure = "no 95 % interval: less than 5 s were compared"
+    sure = " (no 95 % interval: less than 5 s were compared)"
     if within is not None:
-        sure = f"95 %: ±{within * 1e3:.2g} ms"
-    # Commands are ahead of the reference, to compensate the robot's delay.
-    behind = (
-        f", {_late(delay + preview)} its commands, which are sent {preview * 1e3:.1f} ms ahead "
-        "(stream.preview)"
-        if preview
-        else ""
-    )
+        sure = f" (95 %: ±{within * 1e3:.2g} ms)"
+    if attached and preview is None:
+        return f"the robot is {_late(delay, 'its commands')}{sure}"
+    if not preview:
+        return f"the robot is {_late(delay, 'the reference')}{sure}"
     return (
-        f"the robot is {_late(delay)} {'the reference' if known else 'its commands'} "
-        f"({sure}){behind}; RMSE "
-        f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
-        f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
+        f"commands {preview * 1e3:.1f} ms ahead of the reference (stream.preview), the robot "
+        f"{_late(delay + preview, 'them')}: {_late(delay, 'the reference')}{sure}"
     )
 
 
-def _late(delay: float) -> str:
-    return f"{abs(delay) * 1e3:.1f} ms {'behind' if delay >= 0 else 'ahead of'}"
+def _late(delay: float, what: str) -> str:
+    return f"{abs(delay) * 1e3:.1f} ms {'behind' if delay >= 0 else 'ahead of'} {what}"
+
+
+def _without_delay(tracking: TrackingSummary) -> str:
+    if tracking.rmse_without_delay_rad is None:
+        return ""
+    return (
+        f"RMSE {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's mean error "
+        f"{tracking.rmse_without_delay_and_mean_rad:.4f} rad"
+    )
 
 
 def _balance(balance: BalanceSummary) -> str:
@@ -628,12 +676,6 @@ def _row(stats: MessageStats) -> list[str]:
         "" if longest is None else f"{longest * 1e3:.1f}",
         *([f"{value:.0f}" for value in (us.p50, us.p99, us.max)] if us else [""] * 3),
     ]
-
-
-def _problems(problems: Sequence[str]) -> list[str]:
-    shown = list(problems[:_MOST_PROBLEMS]) or ["no problems found"]
-    rest = len(problems) - _MOST_PROBLEMS
-    return shown + ([f"and {rest} more; --json lists all"] if rest > 0 else [])
 
 
 def _size(n_bytes: int) -> str:

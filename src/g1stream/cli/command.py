@@ -236,12 +236,12 @@ def print_json(values: Any) -> None:
     print(json.dumps(values, indent=2))
 
 
-def print_summary(summary: Summary, *, as_json: bool) -> None:
-    """Print a summary, as text or as one JSON document."""
+def print_summary(summary: Summary, *, as_json: bool, details: bool = False) -> None:
+    """Print a summary: its result, with `details` all of it, or as one JSON document."""
     if as_json:
         print_json(summary.model_dump(mode="json"))
     else:
-        print_lines(str(summary))
+        print_lines(summary.details if details else str(summary))
 
 
 def exit_code(summary: Summary) -> int:

@@ -18,6 +18,7 @@ class Info(SessionFlags):
 
     Examples:
       g1stream info session.mcap
+      g1stream info session.mcap --all
       g1stream info session.mcap --json | jq .
 
     Exit codes:
@@ -26,7 +27,8 @@ class Info(SessionFlags):
     """
 
     file: Path = argument("The session file.", "SESSION")
-    json: bool = flag(False, "Print the summary as JSON.")
+    all: bool = flag(False, "Print all that is known, such as settings, phases and each topic.")
+    json: bool = flag(False, "Print the summary as JSON, which has all of it.")
 
     def run(self) -> int:
         """Print the summary, and return the exit code."""
@@ -37,5 +39,5 @@ class Info(SessionFlags):
                 metrics = session.metrics()
                 summary.success = metrics.success
                 summary.terminations = metrics.body.terminations if metrics.body else None
-        print_summary(summary, as_json=self.json)
+        print_summary(summary, as_json=self.json, details=self.all)
         return EXIT_OK

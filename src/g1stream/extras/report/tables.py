@@ -226,7 +226,7 @@ _PUNCTUALITY: Final = {
     "lateness_us": "lateness of writes",
     "interval_us": "interval between commands",
     "state_age_us": "age of the newest state at a command",
-    "state_to_command_us": "from the state that a command is computed from to the command",
+    "state_to_command_us": "from LowState to its command",
 }
 
 

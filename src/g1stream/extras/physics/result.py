@@ -118,8 +118,9 @@ class Verdict(Record, frozen=True):
             return f"cannot be played: {'; '.join(filter(None, (self.refused, self.instead)))}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids and e.cause not in against]
-        answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []
-        answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
+        answers = [f"cannot be played: {', '.join(against)}"] if against else []
+        plays = "also inexact" if against else "plays, but inexactly"
+        answers += [f"{plays}: {', '.join(harmless)}"] if harmless else []
         # Nothing in the loop controls the mass centre.
         how = "by a controller that balances" if self.support == "free" else self.changed
         return "; ".join(answers) or f"can be played {how}".rstrip()

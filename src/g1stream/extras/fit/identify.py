@@ -21,8 +21,16 @@ from scipy.stats import t as student
 from g1stream.app.session import Session, open_session
 from g1stream.errors import RecordingError
 from g1stream.extras.fit.recorded import Recorded, noise_of
-from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
-from g1stream.extras.fit.simulated_session import compare, motor_torque, robot_of, torque_delay
+from g1stream.extras.fit.regression import (
+    AXES,
+    LINKS,
+    OF_JOINTS,
+    Estimate,
+    Movement,
+    Regression,
+    names_of,
+)
+from g1stream.extras.fit.simulated_session import Servo, compare, robot_of, servo_law
 from g1stream.extras.fit.simulation import simulate_commands, world_support
 from g1stream.files import complete_file
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
@@ -45,7 +53,6 @@ Kind = Literal[
     "com_y",
     "com_z",
     "command_delay",
-    "torque_lag",
 ]
 
 #: Length of a window of the regression, and of one of the validation, s.
@@ -63,10 +70,11 @@ _TOLD, _TOLD_MASS, _TOLD_COM, _TOLD_SCALE = 0.5, 0.5, 0.02, 0.05
 #: A centre of mass is fitted if its effect is not chance at this probability and its shift is above
 #: this, m. Otherwise a mass explains the same.
 _CHANCE, _SHIFTED = 0.999, 0.004
-#: The same for the lag of torques, s.
-_TOLD_LAG: Final = 2e-3
-#: Least interval of a scale, because the time of a torque within a tick is unknown.
-_FINEST_SCALE: Final = 0.005
+#: The same for the delay, s.
+_TOLD_DELAY: Final = 2e-3
+#: Least half intervals: of a scale, because filters of reported torques are unknown; of the delay,
+#: s, because the cycle of a drive, or the physics step of a simulator, is, up to twice this.
+_FINEST_SCALE, _FINEST_DELAY = 0.005, 5e-4
 _UNITS: Final = {
     "damping": "N·m·s/rad",
     "friction": "N·m",
@@ -75,7 +83,6 @@ _UNITS: Final = {
     "mass": "kg",
     "com": "m",
     "command_delay": "s",
-    "torque_lag": "s",
 }
 #: Least values that a simulation accepts.
 _LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
@@ -87,9 +94,7 @@ class FittedValue(Record):
     """An identified parameter.
 
     Attributes:
-        kind: name of its table in a parameters file. torque_lag, the lag of measured torques behind
-            measured positions, is in no file, because it does not affect the robot's movement.
-            com_x, com_y and com_z are the parts of com.
+        kind: name of its table in a parameters file; com_x, com_y and com_z are the parts of com.
         name: name of the joint or the link; empty for the command delay.
         value, low, high: the value, and the ends of its 95 % interval.
         default: value without a parameters file.
@@ -107,8 +112,6 @@ class FittedValue(Record):
     @property
     def written(self) -> bool:
         """Whether a parameters file has it: it is determined, and masses and scales differ."""
-        if self.kind == "torque_lag":
-            return False
         changes = not self.low <= self.default <= self.high
         return self.told and (changes or self.kind in ("command_delay", *_LEAST))
 
@@ -197,30 +200,26 @@ def fit_parameters(
     masses = [("mass", link) for link in links]
     regression = Regression(robot, masses)
     data = list(zip(fitted, held, strict=False))
-    measured = [_measured(one, how) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
         raise RecordingError(
             f"{fitted[0].name} has no torques: tau_est is 0 in every LowState.",
             "Record a robot, or a simulator, that reports the torques of its motors.",
         )
-    aim = regression.estimate(measured)
-    delays = [delay for one in fitted if (delay := torque_delay(one, robot)[0]) is not None]
-    delay = float(np.median(delays)) if delays else 0.0
-    aim_scale, scale_spread = _scales(fitted, delay)
-    values, scale = aim.values, aim_scale
-    rounds, number = _ROUNDS, 0
+    servo = servo_law(fitted, robot)
+    measured = [_measured(one, how, servo.delay) for one, how in data]
+    aim = regression.estimate(measured, _scales(servo))
+    values, rounds, number = aim.values, _ROUNDS, 0
     while number < rounds:
         names = names_of(regression.added)
-        changed = replace(robot, parameters=_parameters(robot, names, values, scale, delay))
-        simulation = _Simulation(data, changed)
+        changed = replace(robot, parameters=_parameters(robot, names, values, servo.delay))
+        simulation = _Simulation(data, changed, servo)
         draws = _DRAWS if number == rounds - 1 else 1
-        found, found_scale = simulation.estimate(regression, delay, draws)
+        found, residual = simulation.estimate(regression, draws)
         values = values + aim.values - found
-        scale = scale + aim_scale - found_scale
-        if number == 0 and (moved := _moved_links(robot, links, measured, simulation, delay)):
+        if number == 0 and (moved := _moved_links(robot, links, measured, simulation, servo)):
             shifts = [(axis, link) for link in moved for axis in AXES]
             regression = Regression(robot, [*masses, *shifts])
-            aim = regression.estimate(measured)
+            aim = regression.estimate(measured, _scales(servo))
             values = np.insert(values, len(values) - 1, np.zeros(len(shifts)))
             rounds += _MORE_ROUNDS
         number += 1
@@ -229,9 +228,8 @@ def fit_parameters(
         robot,
         aim._replace(values=values),
         names_of(regression.added),
-        scale,
-        scale_spread,
-        delay if delays else None,
+        servo,
+        residual,
         fitted,
         held[0],
     )
@@ -267,10 +265,15 @@ def _windows(recorded: Recorded) -> list[slice]:
     return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW)]
 
 
-def _measured(recorded: Recorded, support: Support) -> Movement:
-    windows = _windows(recorded)
-    base = _base(recorded)
-    return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
+def _scales(servo: Servo) -> Floats:
+    return np.stack([servo.scale, np.clip(servo.scale_error, 1e-4, 1.0)])
+
+
+def _measured(recorded: Recorded, support: Support, delay: float) -> Movement:
+    windows, base = _windows(recorded), _base(recorded)
+    return Movement(
+        recorded.q, *recorded.servo(delay), base, recorded.period, windows, support
+    )
 
 
 def _base(recorded: Recorded) -> Floats:
@@ -281,33 +284,42 @@ def _base(recorded: Recorded) -> Floats:
 class _Simulation:
     """Simulations of the sessions with some parameters, estimated like the measurements."""
 
-    def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1) -> None:
-        self._data = data
-        self._windows = [_windows(one) for one, _ in data]
+    def __init__(
+        self, data: Sequence[tuple[Recorded, Support]], robot: G1, servo: Servo
+    ) -> None:
+        self._data, self._robot, self._servo = data, robot, servo
         self._runs = [
-            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False)
+            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False, exact=True)
             for one, held in data
         ]
 
-    def estimate(self, regression: Regression, delay: float, draws: int) -> tuple[Floats, Floats]:
-        """The estimate (P,) and the torque scales (29,), means over draws of the sensor noise."""
+    def estimate(self, regression: Regression, draws: int) -> tuple[Floats, Floats]:
+        """The estimate (P,) and mean square residuals (29,), means over draws of sensor noise."""
         rng = np.random.default_rng(draws)
-        values, scales = [], []
+        values, residuals = [], []
         for _ in range(draws):
-            movements, noisy = [], []
-            for (one, held), run, windows in zip(
-                self._data, self._runs, self._windows, strict=True
-            ):
+            noisy = []
+            for (one, _), run in zip(self._data, self._runs, strict=True):
+                known = ~np.isnan(run.tau[:, 0])
                 sensed = (one.q, one.dq, one.tau, _base(one))
                 q, dq, tau, base = (
-                    clean + noise_of(alike) * rng.standard_normal(clean.shape)
+                    np.where(known[:, np.newaxis], clean, alike)
+                    + noise_of(alike) * rng.standard_normal(clean.shape)
                     for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
                 )
-                movements.append(Movement(q, tau, base, one.period, windows, held))
-                noisy.append(replace(one, q=q, dq=dq, tau=tau))
-            values.append(regression.estimate(movements).values)
-            scales.append(_scales(noisy, delay)[0])
-        return np.mean(values, axis=0), np.mean(scales, axis=0)
+                imu = base[:, :4], base[:, 4:7], base[:, 7:]
+                names = ("quat_wxyz", "gyroscope", "accelerometer")
+                noisy.append(replace(one, q=q, dq=dq, tau=tau, **dict(zip(names, imu, strict=True))))
+            delay = self._servo.delay
+            scale = servo_law(noisy, self._robot, delay).scale, self._servo.scale_error
+            movements = [
+                _measured(one, held, delay)
+                for one, (_, held) in zip(noisy, self._data, strict=True)
+            ]
+            found = regression.estimate(movements, _scales(Servo(0.0, 0.0, *scale)))
+            values.append(found.values)
+            residuals.append(found.residual)
+        return np.mean(values, axis=0), np.mean(residuals, axis=0)
 
 
 def _moved_links(
@@ -315,13 +327,13 @@ def _moved_links(
     links: Sequence[str],
     measured: Sequence[Movement],
     simulation: _Simulation,
-    delay: float,
+    servo: Servo,
 ) -> list[str]:
     """The links with a shifted centre of mass, for which an added mass does not explain all."""
     added = [("mass", link) for link in links]
     regression = Regression(robot, [*added, *((axis, link) for link in links for axis in AXES)])
-    aim = regression.estimate(measured)
-    found, _ = simulation.estimate(regression, delay, 1)
+    aim = regression.estimate(measured, _scales(servo))
+    found, _ = simulation.estimate(regression, 1)
     names, moved = names_of(regression.added), []
     least = 3.0 * float(fisher.ppf(_CHANCE, 3, max(2, aim.blocks - 4)))
     for link in links:
@@ -335,34 +347,15 @@ def _moved_links(
     return moved
 
 
-def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
-    """The torque scales (29,) from least squares, and their variances, from blocks of a second."""
-    squares, products = [], []
-    for one in records:
-        asked, known = motor_torque(one, delay)
-        # Some states of a simulation are nan.
-        use = known[:, np.newaxis] & (np.abs(asked) > 0.0) & np.isfinite(one.tau)
-        x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
-        for rows in np.array_split(np.arange(len(x)), max(1, round(one.seconds))):
-            squares.append((x[rows] ** 2).sum(axis=0))
-            products.append((x[rows] * y[rows]).sum(axis=0))
-    square, product = np.stack(squares), np.stack(products)
-    total = square.sum(axis=0)
-    told = total > 1e-6
-    scale = np.divide(product.sum(axis=0), total, out=np.ones(N_JOINTS), where=told)
-    scores = product - scale * square
-    variance = np.full(N_JOINTS, 1.0)
-    np.divide((scores**2).sum(axis=0), total**2, out=variance, where=told)
-    return scale, variance
-
-
 def _parameters(
-    robot: G1, names: Sequence[tuple[str, str]], values: Floats, scale: Floats, delay: float
+    robot: G1, names: Sequence[tuple[str, str]], values: Floats, delay: float
 ) -> Parameters:
     """The parameters for a simulation."""
-    damping, friction, armature = (
-        np.maximum(part, _LEAST[kind])
-        for kind, part in zip(_LEAST, values[: 3 * N_JOINTS].reshape(3, N_JOINTS), strict=True)
+    damping, friction, armature, scale = (
+        np.maximum(part, _LEAST.get(kind, 0.2))
+        for kind, part in zip(
+            OF_JOINTS, values[: len(OF_JOINTS) * N_JOINTS].reshape(-1, N_JOINTS), strict=True
+        )
     )
     model, masses = compiled_dynamics(robot, GRAVITY), dict[str, float]()
     centres: dict[str, Floats] = {}
@@ -377,8 +370,8 @@ def _parameters(
         damping=damping,
         friction=friction,
         armature=armature,
-        torque_scale=np.clip(scale, 0.2, 2.0),
-        command_delay=delay,
+        torque_scale=np.minimum(scale, 2.0),
+        command_delay=delay + float(values[-1]),
         mass=masses,
         com=centres,
     )
@@ -388,9 +381,8 @@ def _fit(
     robot: G1,
     aim: Estimate,
     names: Sequence[tuple[str, str]],
-    scale: Floats,
-    scale_variance: Floats,
-    delay: float | None,
+    servo: Servo,
+    residual: Floats,
     fitted: Sequence[Recorded],
     support: Support,
 ) -> Fit:
@@ -400,8 +392,15 @@ def _fit(
     found = []
     for (kind, name), value, to in zip(names, aim.values.tolist(), half, strict=True):
         default = 0.0
-        if kind == "torque_lag":
-            found.append(_value(kind, name, value, to, default, to <= _TOLD_LAG))
+        if kind == "command_delay":
+            told = to <= _TOLD_DELAY
+            to = float(np.hypot(to, _FINEST_DELAY))
+            found.append(_value(kind, name, servo.delay + value, to, default, told))
+            continue
+        if kind == "torque_scale":
+            if robot.present[JOINT_NAMES.index(name)]:
+                to = float(np.hypot(to, _FINEST_SCALE))
+                found.append(_value(kind, name, value, to, 1.0, to <= _TOLD_SCALE))
             continue
         if kind in AXES:
             found.append(_value(kind, name, value, to, default, to <= _TOLD_COM))
@@ -417,12 +416,6 @@ def _fit(
         if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
             continue
         found.append(_value(kind, name, value, to, default, told))
-    for j in np.flatnonzero(robot.present):
-        to = max(_FINEST_SCALE, reach * float(np.sqrt(scale_variance[j])))
-        told = to <= _TOLD_SCALE
-        found.append(_value("torque_scale", JOINT_NAMES[j], scale[j], to, 1.0, told))
-    period = fitted[0].period
-    found.append(_value("command_delay", "", delay or 0.0, 0.5 * period, 0.0, delay is not None))
     return Fit(
         sessions=[],
         held_out="",
@@ -547,7 +540,6 @@ def _render(fit: Fit) -> str:
             added.append((what, shift, f"{one.value - one.low:.4f}"))
     delay = fit.find("command_delay")
     told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
-    lag = fit.find("torque_lag")
     less = f"{100 * fit.reduction:.0f} % less" if fit.reduction > 0.0 else "not less"
     return "\n".join(
         [
@@ -558,8 +550,6 @@ def _render(fit: Fit) -> str:
             f"delay   {told if delay.told else 'not determined by the sessions'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
             f"after, {less}, of {fit.held_out}",
-            f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
-            f"{1e3 * (lag.value - lag.low):.2f}",
             *(["?       the sessions do not determine this value"] if untold else []),
             "units   damping N·m·s/rad, friction N·m, armature kg·m²; +-: half the 95 % interval",
             "",

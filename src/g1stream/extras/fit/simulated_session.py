@@ -7,9 +7,9 @@ by simple regressions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from g1stream.text import labelled, table
 from g1stream.types import Floats
 from g1stream.view.encoders import JointStatesTemplate
 
-__all__ = ["Cause", "Gap", "JointGap", "excess", "gap", "motor_torque", "robot_of", "torque_delay"]
+__all__ = ["Cause", "Gap", "JointGap", "Servo", "excess", "gap", "robot_of", "servo_law"]
 
 _FIELDS: Final = ("position", "velocity", "effort")
 #: A joint differs if the RMS position difference without noise is above this, rad, and above twice
@@ -46,8 +46,11 @@ _CUTOFF: Final = 15.0
 _EVERY: Final = 5
 #: Slower joints (RMS) show neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
-#: Delays of commands that are tried, s.
-_LONGEST_DELAY: Final = 0.03
+#: Largest change of the delay, s, in one of so many linearisations.
+_LONGEST, _LINEARISED = 0.03, 4
+#: Windows of the servo law, s; the low-pass has not settled at their ends, s. A joint's least mean
+#: square of torques in a second, times the samples, (N·m)².
+_SECONDS, _MARGIN, _MOVED = 10.0, 0.1, 1e-2
 #: Fraction of its limit at which a motor is saturated.
 _SATURATED: Final = 0.99
 
@@ -205,7 +208,7 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
     usual = excess(np.sqrt(rest / known.sum()), noise["q"])
     differs = (usual > np.maximum(_DIFFERS, 2.0 * noise["q"])) & robot.present
-    delay, _ = torque_delay(recorded, robot)
+    delay = servo_law([recorded], robot).delay
     own = None if delay is None else delay - robot.parameters.command_delay
     causes = _causes(recorded, robot, differences, known, differs, own)
     present = np.flatnonzero(robot.present)
@@ -238,45 +241,75 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     )
 
 
-def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) whether known.
+class Servo(NamedTuple):
+    """How the reported torques follow from commands and states.
 
-    The command is the one in force up to the LowState, see `Recorded.in_force`. Position and
-    velocity are the means of this LowState and the one before, so the first one is unknown.
+    Attributes:
+        delay, delay_error: time from the publish time of a command until it acts, and its standard
+            error, s.
+        scale, scale_error: (29,) torque over that of the servo law, and standard errors; 1 and
+            infinite without torque.
     """
-    number = np.concatenate([[-1], recorded.in_force(delay)[:-1]])
-    known = (number >= 0) & ~recorded.begins
-    q, dq, tau, kp, kd = recorded.commands[number.clip(0)].transpose(1, 0, 2)
-    at_q, at_dq = (0.5 * (one + np.roll(one, 1, axis=0)) for one in (recorded.q, recorded.dq))
-    torque = tau + kp * (q - at_q) + kd * (dq - at_dq)
-    torque[~recorded.enabled[number.clip(0)]] = 0.0
-    return torque, known
+
+    delay: float
+    delay_error: float
+    scale: Floats
+    scale_error: Floats
 
 
-def torque_delay(recorded: Recorded, robot: G1) -> tuple[float | None, Floats]:
-    """The command delay, s, that best explains the measured torques, and torque scales (29,).
+def servo_law(records: Sequence[Recorded], robot: G1, delay: float = 0.0) -> Servo:
+    """Least squares of the reported torques on those of the servo law.
 
-    The delay is a multiple of the robot's tick, as in the embedded simulator. It is None if no
-    torques are reported, or if commands hardly change. Scales are from least squares, 1 without
-    torque.
+        tau_est = scale (tau - lag dtau/dt - delay dfeed/dt)
+
+    of low-passed signals, see `Recorded.servo`, joint by joint. Whether a robot reports the torque
+    of an instant or the mean of a period, and after which filter, is a lag. The delay is the mean
+    of all joints by their precision. Errors are those of blocks of a second (H. White 1980).
+
+    Args:
+        records: sessions of a robot.
+        robot: robot with the torque limits; a saturated motor does not follow the law.
+        delay: initial value of the delay, s.
     """
-    best, scales, cost = None, np.ones(N_JOINTS), np.inf
-    limits = robot.torque_limit
-    costs = []
-    for n in range(round(_LONGEST_DELAY / recorded.period) + 1):
-        asked, known = motor_torque(recorded, n * recorded.period)
-        # Clipped torques, and sensor noise times a gain, do not show the delay.
-        use = known[:, np.newaxis] & (np.abs(asked) < _SATURATED * limits)
-        x, y = np.where(use, asked, 0.0), np.where(use, recorded.tau, 0.0)
-        square = (x * x).sum(axis=0)
-        product = (x * y).sum(axis=0)
-        found = np.divide(product, square, out=np.ones(N_JOINTS), where=square > 1e-6 * len(x))
-        left = ((y - found * x) ** 2).sum(axis=0) / np.maximum(1, use.sum(axis=0))
-        costs.append(left.sum())
-        if costs[-1] < cost:
-            best, scales, cost = n * recorded.period, found, costs[-1]
-    told = recorded.tau.any() and max(costs) > 1.02 * cost
-    return (best if told else None), scales
+    scale, error, delay_error = np.ones(N_JOINTS), np.full(N_JOINTS, np.inf), np.inf
+    for _ in range(_LINEARISED):
+        products = np.stack([block for one in records for block in _blocks(one, robot, delay)])
+        total = products.sum(axis=0)
+        told = (total[:, 0, 0] > _MOVED * len(products)) & (total[:, 3, 3] > 0.0) & robot.present
+        if not told.any():
+            break
+        normal = total[told, :3, :3]
+        normal = normal * (1.0 + 1e-9 * np.eye(3))
+        found = np.linalg.solve(normal, total[told, :3, 3:])
+        scores = products[:, told, :3, 3:] - products[:, told, :3, :3] @ found
+        inverse = np.linalg.inv(normal)
+        few = len(products) / max(1, len(products) - 3)
+        spread = few * (scores @ scores.transpose(0, 1, 3, 2)).sum(axis=0)
+        variance = np.diagonal(inverse @ spread @ inverse, axis1=1, axis2=2)
+        scale[told], error[told] = found[:, 0, 0], np.sqrt(variance[:, 0])
+        late, weight = found[:, 1, 0] / found[:, 0, 0], 1.0 / np.maximum(variance[:, 1], 1e-12)
+        delay += float(np.clip((weight * late).sum() / weight.sum(), -_LONGEST, _LONGEST))
+        delay_error = float(1.0 / np.sqrt(weight.sum()))
+    return Servo(delay, delay_error, scale, error)
+
+
+def _blocks(recorded: Recorded, robot: G1, delay: float) -> Iterator[Floats]:
+    """(29, 4, 4) products of the columns of `servo_law`, and the torque, in each second."""
+    torque, feed = recorded.servo(delay)
+    rate, limit = 1.0 / recorded.period, _SATURATED * robot.torque_limit
+    margin, n = round(_MARGIN * rate), max(1, round(rate))
+    for part in recorded.windows(_SECONDS):
+        tau, fed, reported = (
+            smoothed(one[part], rate, _CUTOFF) for one in (torque, feed, recorded.tau)
+        )
+        if len(tau) < 4 * margin or not np.isfinite(reported).all():
+            continue
+        lag, late = (-np.gradient(one, recorded.period, axis=0) for one in (tau, fed))
+        columns = np.stack([tau, late, lag, reported], axis=-1)
+        columns[np.abs(torque[part]) > limit] = 0.0
+        for start in range(margin, len(tau) - margin, n):
+            some = columns[start : min(start + n, len(tau) - margin) : _EVERY].transpose(1, 2, 0)
+            yield some @ some.transpose(0, 2, 1)
 
 
 def _causes(
@@ -295,9 +328,8 @@ def _causes(
     ddq = np.gradient(dq, recorded.period, axis=0)[rows]
     dq, tau = dq[rows], recorded.tau[rows]
     weight = _gravity_torque(recorded, robot, q, rows) if differs.any() else tau
-    asked, there = motor_torque(recorded, delay or 0.0)
-    limit = robot.torque_limit
-    saturated = (np.abs(asked[there]) >= limit).mean(axis=0)
+    asked, _ = recorded.servo(delay or 0.0)
+    saturated = (np.abs(asked) >= robot.torque_limit).mean(axis=0)
     found: dict[int, list[Cause]] = {}
     for j in np.flatnonzero(differs).tolist():
         columns = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, cast, get_args
 
@@ -14,7 +14,7 @@ from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, yaw_of
 from g1stream.sim.world import MotorCommand, Root, World
-from g1stream.types import Floats, StreamSupport, Support
+from g1stream.types import Floats, Ints, StreamSupport, Support
 
 __all__ = ["Simulated", "simulate_commands", "world_support"]
 
@@ -93,11 +93,13 @@ def simulate_commands(
     window: float = 1.0,
     self_collision: bool = True,
     repeats: bool = True,
+    exact: bool = False,
 ) -> Simulated:
     """Simulate the robot under the recorded commands.
 
     Each window begins with the measured state. Commands take effect at the robot's ticks at which
-    the embedded simulator would receive them, plus the command delay of the parameters.
+    the embedded simulator would use them, see `Recorded.in_force`, or exactly at their publish
+    times plus the command delay of the parameters.
 
     Args:
         recorded: the recording.
@@ -106,12 +108,15 @@ def simulate_commands(
         window: length of a window, s.
         self_collision: links collide with each other.
         repeats: simulate some windows twice, for `Simulated.spread`.
+        exact: see above. `Simulated.dq` is then that of the servo, which is implicit: after one
+            more physics step.
 
     Raises:
         SimError: the state can no longer be integrated.
     """
     world = World(robot, support, self_collision=self_collision, timestep=_TIMESTEP)
-    run = _Run(recorded, world, robot.parameters.command_delay, support)
+    delay = robot.parameters.command_delay
+    run = _Run(recorded, world, recorded.in_force(delay), support, delay if exact else None)
     noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
     values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
     base = np.full((len(recorded.time), 10), np.nan)
@@ -134,9 +139,15 @@ def simulate_commands(
 class _Run:
     """A simulated robot, and its input in each step."""
 
-    def __init__(self, recorded: Recorded, world: World, delay: float, support: Support) -> None:
-        self._recorded, self._world = recorded, world
-        self._numbers = recorded.in_force(delay)
+    def __init__(
+        self,
+        recorded: Recorded,
+        world: World,
+        numbers: Ints,
+        support: Support,
+        delay: float | None = None,
+    ) -> None:
+        self._recorded, self._world, self._numbers, self._delay = recorded, world, numbers, delay
         self._roots = _roots(recorded, support, world)
         self._driven = support == "follow"
 
@@ -156,8 +167,14 @@ class _Run:
         seconds = recorded.time[part] - recorded.time[part.start]
         steps = np.diff(np.round(seconds / _TIMESTEP).astype(int)).tolist()
         found, base = np.empty((len(seconds), 3, N_JOINTS)), np.empty((len(seconds), 10))
+        exact = self._means(recorded.time[part.start], sum(steps))
         for k, n in enumerate([0, *steps], start=part.start):
-            if n > 0:
+            if self._delay is not None:
+                for i in range(n):
+                    world.step(next(exact), 1)
+                    if not i:
+                        found[k - part.start - 1, 1] = world.state().dq
+            elif n > 0:
                 world.step(command, n)
             at = world.state()
             found[k - part.start] = at.q, at.dq, at.tau_est
@@ -168,6 +185,19 @@ class _Run:
             if self._driven:
                 world.set_reference(self._roots(k))
         return found, base
+
+    def _means(self, start: float, n: int) -> Iterator[MotorCommand]:
+        """The mean commands of n physics steps.
+
+        The integrator's force in a step is that at its first instant, the middle between the two
+        velocities (semi-implicit Euler), so the mean is that around this instant.
+        """
+        if self._delay is None:
+            return
+        edges = start + _TIMESTEP * (np.arange(n + 1) - 0.5)
+        on, zero = np.ones(N_JOINTS, dtype=bool), np.zeros(N_JOINTS)
+        for feed, kp, kd in np.diff(self._recorded.total(self._delay, edges), axis=0) / _TIMESTEP:
+            yield MotorCommand(on, zero, zero, feed, kp, kd)
 
 
 def _roots(recorded: Recorded, support: Support, world: World) -> Callable[[int], Root]:

@@ -48,7 +48,8 @@ class Foreign:
             torque and that of the servo law, which is also reported.
         mass: kg added at a link's centre of mass.
         delay: time from the publish time of a LowCmd until it acts, s.
-        backlash: play between rotor and link, rad. The rotor has the armature and the sensors.
+        backlash: play between rotor and link, rad. With it the rotor has the armature, the
+            friction and the sensors.
         reports: the torque in LowState: of the last physics step, or the mean of the period.
         step: physics step, s.
         noise: factor of the sensor noise.
@@ -82,13 +83,15 @@ class Foreign:
             spec.add_sensor(name=name, type=sensor, objtype=site, objname=name)
         for j, name in enumerate(JOINT_NAMES):
             joint = spec.joint(name)
-            joint.armature = 0.0 if self.backlash else self.armature[j]
-            joint.frictionloss, joint.actfrclimited = self.friction[j], False
+            joint.actfrclimited = False
+            if not self.backlash:
+                joint.armature, joint.frictionloss = self.armature[j], self.friction[j]
         for link, mass in self.mass.items():
             spec.body(link).mass += mass
         model = spec.compile()
-        dofs = [model.joint(name).dofadr[0] for name in JOINT_NAMES]
-        model.dof_damping[dofs] = self.damping
+        if not self.backlash:
+            dofs = [model.joint(name).dofadr[0] for name in JOINT_NAMES]
+            model.dof_damping[dofs] = self.damping
         return model, mujoco.MjData(model)
 
     def play(self, motion: Motion, support: str = "bolted", *, seed: int = 0) -> Session:
@@ -153,7 +156,8 @@ class Foreign:
             np.array([getattr(model.joint(name), kind)[0] for name in JOINT_NAMES])
             for kind in ("qposadr", "dofadr")
         )
-        torso = model.body("torso_link").id
+        torso = np.flatnonzero(model.body_weldid == model.body_weldid[model.body("torso_link").id])
+        share = (model.body_mass[torso] / model.body_mass[torso].sum())[:, np.newaxis]
         data.qpos[q] = commands["q"][0]
         if support == "hanging":
             data.qpos[2:7] = 3.0 - 9.81 * model.body_mass.sum() / 200.0, *UPRIGHT
@@ -161,10 +165,10 @@ class Foreign:
         # Of the rotor; without backlash those of the link.
         rotor, speed = data.qpos[q].copy(), np.zeros(N_JOINTS)
         # The teeth: a resonance of 1500 rad/s of rotor and link, damped by 0.3.
-        link = model.dof_M0[v] + 1e-9
+        link = 1.0 / model.dof_invweight0[v]
         reduced = link * self.armature / (link + self.armature)
         stiff, damp = reduced * 1500.0**2, 2.0 * 0.3 * reduced * 1500.0
-        acts = acts - first + round(self.step * 1e9) // 2  # rounded to a step
+        acts = acts - first
         every, grid = round(PERIOD / 1e9 / self.step), round(self.step * 1e9)
         n = (acts[-1] - round(self.delay * 1e9)) // PERIOD
         obeyed = np.searchsorted(acts, np.arange(n * every) * grid, side="right") - 1
@@ -194,14 +198,18 @@ class Foreign:
                 between = rotor - data.qpos[q]
                 pressed = between - np.clip(between, -0.5 * self.backlash, 0.5 * self.backlash)
                 passed = stiff * pressed + damp * (speed - data.qvel[v]) * (pressed != 0.0)
-                speed = speed + self.step * (applied - passed) / self.armature
+                pull = applied - passed - self.damping * speed
+                speed = speed + self.step * pull / self.armature
+                # Dry friction can stop the rotor within a step, and cannot turn it back.
+                braked = np.maximum(np.abs(speed) - self.step * self.friction / self.armature, 0.0)
+                speed = np.copysign(braked, speed)
                 rotor = rotor + self.step * speed
             data.qfrc_applied[v] = passed
             if support == "hanging":
                 way = np.array([0.0, 0.0, 3.0]) - data.qpos[:3]
                 length = np.linalg.norm(way)
                 along = data.qvel[:3] @ way / length
-                data.xfrc_applied[torso, :3] = (200.0 - 100.0 * along / length) * way
+                data.xfrc_applied[torso, :3] = share * (200.0 - 100.0 * along / length) * way
             mujoco.mj_step(model, data)
         arrays = {name: np.stack(values) for name, values in found.items()}
         return arrays, arrays.pop("tau")

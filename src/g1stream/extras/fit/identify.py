@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
@@ -30,8 +31,15 @@ from g1stream.extras.fit.regression import (
     Regression,
     names_of,
 )
-from g1stream.extras.fit.simulated_session import Servo, compare, robot_of, servo_law
-from g1stream.extras.fit.simulation import simulate_commands, world_support
+from g1stream.extras.fit.simulated_session import (
+    FAR,
+    FAR_OFF,
+    Servo,
+    compare,
+    robot_of,
+    servo_law,
+)
+from g1stream.extras.fit.simulation import doubt, simulate_commands, world_support
 from g1stream.files import complete_file
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -54,6 +62,7 @@ Kind = Literal[
     "com_z",
     "command_delay",
 ]
+Untold = Literal["", "wide", "impossible", "unlike"]
 
 #: Length of a window of the regression, and of one of the validation, s.
 _WINDOW, _JUDGED = 2.0, 1.0
@@ -65,16 +74,21 @@ _ROUNDS, _MORE_ROUNDS, _DRAWS = 3, 2, 4
 #: Fraction of a single session that is used for validation.
 _HELD_OUT: Final = 0.2
 #: A session determines a value if half its 95 % interval is at most this: as a fraction of the
-#: value or of the default if that is larger; of masses, kg; of centres of mass, m; of scales.
-_TOLD, _TOLD_MASS, _TOLD_COM, _TOLD_SCALE = 0.5, 0.5, 0.02, 0.05
+#: value, or of the default if that is larger; of masses, kg; shifts, m; scales; the delay, s.
+_OF_VALUE: Final = 0.5
+_TOLD: Final = {
+    "mass": 0.5,
+    **dict.fromkeys(AXES, 0.02),
+    "torque_scale": 0.05,
+    "command_delay": 2e-3,
+}
 #: A centre of mass is fitted if its effect is not chance at this probability and its shift is above
 #: this, m. Otherwise a mass explains the same.
 _CHANCE, _SHIFTED = 0.999, 0.004
-#: The same for the delay, s.
-_TOLD_DELAY: Final = 2e-3
-#: Least half intervals: of a scale, because filters of reported torques are unknown; of the delay,
-#: s, because the cycle of a drive, or the physics step of a simulator, is, up to twice this.
-_FINEST_SCALE, _FINEST_DELAY = 0.005, 5e-4
+#: What is added to half an interval: to that of a scale, because filters of reported torques are
+#: unknown; of the delay, s, because the cycle of a drive, or the physics step of a simulator, is:
+#: a force counts from the middle of a step of up to 1 ms, or from its beginning.
+_FINEST: Final = {"torque_scale": 0.005, "command_delay": 5e-4}
 _UNITS: Final = {
     "damping": "N·m·s/rad",
     "friction": "N·m",
@@ -96,24 +110,39 @@ class FittedValue(Record):
     Attributes:
         kind: name of its table in a parameters file; com_x, com_y and com_z are the parts of com.
         name: name of the joint or the link; empty for the command delay.
-        value, low, high: the value, and the ends of its 95 % interval.
+        value, low, high: the value, and the ends of its 95 % interval; None if it has none.
         default: value without a parameters file.
         told: whether the sessions determine it; others are not written.
+        why: why not: the interval is wide, the value impossible, or the joint moves unlike a joint
+            with these parameters, so that an interval would not hold the true value.
+        differs: whether the value is another one than the default, at 95 % for all values of the
+            fit together (Bonferroni).
     """
 
     kind: str
     name: str
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     default: float
     told: bool
+    why: Untold = ""
+    differs: bool = False
 
     @property
     def written(self) -> bool:
         """Whether a parameters file has it: it is determined, and masses and scales differ."""
-        changes = not self.low <= self.default <= self.high
-        return self.told and (changes or self.kind in ("command_delay", *_LEAST))
+        return self.told and (self.differs or self.kind in ("command_delay", *_LEAST))
+
+    @property
+    def half(self) -> str:
+        """Half the interval as text."""
+        digits = 4 if self.kind in ("armature", *AXES) else 3
+        return "-" if self.high is None else f"{self.high - self.value:.{digits}f}"
+
+    def __str__(self) -> str:
+        digits = 4 if self.kind in ("armature", *AXES) else 3
+        return f"{self.value:.{digits}f}{'*' if self.differs else ''}" if self.told else "?"
 
 
 class Fit(Record):
@@ -128,6 +157,8 @@ class Fit(Record):
         values: all parameters.
         gap_before_rad, gap_after_rad: gap of the held-out session, RMS of all joints without noise,
             with the default parameters and with these.
+        refusal: why these cannot be the parameters of the robot, which are then not written; empty
+            if they can.
     """
 
     sessions: list[str]
@@ -138,6 +169,7 @@ class Fit(Record):
     values: list[FittedValue]
     gap_before_rad: float
     gap_after_rad: float
+    refusal: str = ""
 
     @property
     def reduction(self) -> float:
@@ -152,8 +184,13 @@ class Fit(Record):
         """Write the determined parameters as a file for `--params`.
 
         Raises:
-            RecordingError: the file cannot be written.
+            RecordingError: the file cannot be written, or the parameters are refused.
         """
+        if self.refusal:
+            raise RecordingError(
+                f"These parameters are not written: {self.refusal}.",
+                "Check --support, --robot, and the sessions with `g1stream simulate`.",
+            )
         path = Path(path)
         with complete_file(path, force=force) as temporary:
             temporary.write_text(_toml(self), encoding="utf-8")
@@ -214,8 +251,8 @@ def fit_parameters(
         changed = replace(robot, parameters=_parameters(robot, names, values, servo.delay))
         simulation = _Simulation(data, changed, servo)
         draws = _DRAWS if number == rounds - 1 else 1
-        found, residual = simulation.estimate(regression, draws)
-        values = values + aim.values - found
+        found = simulation.estimate(regression, draws)
+        values = values + aim.values - found.values
         if number == 0 and (moved := _moved_links(robot, links, measured, simulation, servo)):
             shifts = [(axis, link) for link in moved for axis in AXES]
             regression = Regression(robot, [*masses, *shifts])
@@ -227,9 +264,9 @@ def fit_parameters(
     fit = _fit(
         robot,
         aim._replace(values=values),
+        found,
         names_of(regression.added),
         servo,
-        residual,
         fitted,
         held[0],
     )
@@ -237,6 +274,7 @@ def fit_parameters(
     fit.held_out = judged[0].name if hold_out is not None else "the last 20 %"
     fit.gap_before_rad = _gap(judged, support, robot)
     fit.gap_after_rad = _gap(judged, support, replace(robot, parameters=_written(fit)))
+    fit.refusal = _refusal(fit, servo, records, held)
     progress(1.0)
     return fit
 
@@ -293,10 +331,10 @@ class _Simulation:
             for one, held in data
         ]
 
-    def estimate(self, regression: Regression, draws: int) -> tuple[Floats, Floats]:
-        """The estimate (P,) and mean square residuals (29,), means over draws of sensor noise."""
+    def estimate(self, regression: Regression, draws: int) -> Estimate:
+        """The estimate, the mean over draws of the sensor noise."""
         rng = np.random.default_rng(draws)
-        values, residuals = [], []
+        found = []
         for _ in range(draws):
             noisy = []
             for (one, _), run in zip(self._data, self._runs, strict=True):
@@ -316,10 +354,8 @@ class _Simulation:
                 _measured(one, held, delay)
                 for one, (_, held) in zip(noisy, self._data, strict=True)
             ]
-            found = regression.estimate(movements, _scales(Servo(0.0, 0.0, *scale)))
-            values.append(found.values)
-            residuals.append(found.residual)
-        return np.mean(values, axis=0), np.mean(residuals, axis=0)
+            found.append(regression.estimate(movements, _scales(Servo(0.0, 0.0, *scale))))
+        return Estimate(*(np.mean(one, axis=0) for one in zip(*found, strict=True)))
 
 
 def _moved_links(
@@ -333,12 +369,12 @@ def _moved_links(
     added = [("mass", link) for link in links]
     regression = Regression(robot, [*added, *((axis, link) for link in links for axis in AXES)])
     aim = regression.estimate(measured, _scales(servo))
-    found, _ = simulation.estimate(regression, 1)
+    found = simulation.estimate(regression, 1)
     names, moved = names_of(regression.added), []
     least = 3.0 * float(fisher.ppf(_CHANCE, 3, max(2, aim.blocks - 4)))
     for link in links:
         at = [names.index((axis, link)) for axis in AXES]
-        shift = (aim.values - found)[at]
+        shift = (aim.values - found.values)[at]
         # The simulation has its own noise.
         covariance = 2.0 * aim.covariance[np.ix_(at, at)]
         distance = float(shift @ np.linalg.solve(covariance, shift))
@@ -380,42 +416,46 @@ def _parameters(
 def _fit(
     robot: G1,
     aim: Estimate,
+    simulated: Estimate,
     names: Sequence[tuple[str, str]],
     servo: Servo,
-    residual: Floats,
     fitted: Sequence[Recorded],
     support: Support,
 ) -> Fit:
     """The values with their intervals."""
-    reach = float(student.ppf(0.975, max(2, aim.blocks - 4))) * np.sqrt(1.0 + 1.0 / _DRAWS)
-    half = reach * np.sqrt(np.diag(aim.covariance))
+    freedom = max(2, aim.blocks - 4)
+    unlike = ((aim.pulled - simulated.pulled) ** 2).sum(axis=0)
+    errors = np.sqrt((np.diag(aim.covariance) + unlike) * (1.0 + 1.0 / _DRAWS))
+    reach, all_reach = student.ppf([0.975, 1.0 - 0.025 / len(names)], freedom)
+    misfit = _misfit(aim, simulated)
     found = []
-    for (kind, name), value, to in zip(names, aim.values.tolist(), half, strict=True):
-        default = 0.0
-        if kind == "command_delay":
-            told = to <= _TOLD_DELAY
-            to = float(np.hypot(to, _FINEST_DELAY))
-            found.append(_value(kind, name, servo.delay + value, to, default, told))
+    for (kind, name), value, error in zip(names, aim.values.tolist(), errors, strict=True):
+        joint = JOINT_NAMES.index(name) if kind in OF_JOINTS else None
+        if joint is not None and not robot.present[joint]:
             continue
-        if kind == "torque_scale":
-            if robot.present[JOINT_NAMES.index(name)]:
-                to = float(np.hypot(to, _FINEST_SCALE))
-                found.append(_value(kind, name, value, to, 1.0, to <= _TOLD_SCALE))
-            continue
-        if kind in AXES:
-            found.append(_value(kind, name, value, to, default, to <= _TOLD_COM))
-            continue
-        if kind != "mass":
-            default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
-        told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
-        if kind == "mass":  # a mass that leaves the link almost none has another cause
+        default = 0.0 if joint is None else float(getattr(NOMINAL, kind)[joint])
+        value += servo.delay if kind == "command_delay" else 0.0
+        least, to = _FINEST.get(kind, 0.0), float(reach * error)
+        why: Untold = "wide" if to > _TOLD.get(kind, _OF_VALUE * max(abs(value), default)) else ""
+        if kind in _LEAST and joint is not None and misfit[joint]:
+            why = "unlike"
+        elif kind == "mass":  # a mass that leaves the link almost none has another cause
             own = float(compiled_dynamics(robot, GRAVITY).body(name).mass[0])
-            told = told and value > -_KEPT * own
-        elif value + to < 0.0:  # friction and inertia cannot be negative
-            told = False
-        if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
-            continue
-        found.append(_value(kind, name, value, to, default, told))
+            why = why if value > -_KEPT * own else "impossible"
+        elif kind in _LEAST and value + to < 0.0:  # friction and inertia cannot be negative
+            why = "impossible"
+        one = FittedValue(
+            kind=kind,
+            name=name,
+            value=value,
+            low=None if why == "unlike" else value - to - least,
+            high=None if why == "unlike" else value + to + least,
+            default=default,
+            told=not why,
+            why=why,
+            differs=not why and bool(abs(value - default) > all_reach * error + least),
+        )
+        found.append(one)
     return Fit(
         sessions=[],
         held_out="",
@@ -428,18 +468,41 @@ def _fit(
     )
 
 
-def _value(
-    kind: str, name: str, value: float, half: float, default: float, told: bool
-) -> FittedValue:
-    return FittedValue(
-        kind=kind,
-        name=name,
-        value=value,
-        low=value - half,
-        high=value + half,
-        default=default,
-        told=bool(told),
-    )
+def _misfit(aim: Estimate, simulated: Estimate) -> NDArray[np.bool_]:
+    """(29,) whether the equations' residuals differ from those of a robot with the parameters.
+
+    It is the F test of two variances, so that of the joints it finds 5 % do fit (Y. Benjamini and
+    Y. Hochberg 1995). With play between rotor and link, for example, the equations do not hold at
+    each reversal of the torque.
+    """
+    n, ratio = np.maximum(2.0, aim.independent), aim.residual / simulated.residual
+    tails = [one(ratio, n, _DRAWS * n) for one in (fisher.sf, fisher.cdf)]
+    chance = 2.0 * np.minimum(*tails)
+    ranked = np.sort(chance)
+    found = ranked[ranked <= 0.05 * np.arange(1, N_JOINTS + 1) / N_JOINTS]
+    misfit: NDArray[np.bool_] = chance <= found.max(initial=0.0)
+    return misfit
+
+
+def _refusal(fit: Fit, servo: Servo, records: Sequence[Recorded], held: Sequence[Support]) -> str:
+    """Why the parameters cannot be those of the robot; empty if they can."""
+    if any(reasons := [doubt(one, how) for one, how in zip(records, held, strict=True)]):
+        return next(filter(None, reasons))
+    if fit.gap_after_rad > FAR:
+        return f"the gap is {1e3 * fit.gap_after_rad:.0f} mrad; {FAR_OFF}"
+    delay = fit.find("command_delay")
+    if delay.told and delay.high is not None:
+        half = delay.high - delay.value
+        if delay.high < 0.0:
+            return f"commands would act {-1e3 * delay.value:.1f} ms before they were published"
+        if abs(delay.value - servo.delay) > half + records[0].period:
+            return (
+                f"commands act after {1e3 * delay.value:.1f} ms according to the motion, but after "
+                f"{1e3 * servo.delay:.1f} ms according to the reported torques"
+            )
+    if fit.reduction <= 0.0:
+        return f"the gap of {fit.held_out} does not shrink with these parameters"
+    return ""
 
 
 def _written(fit: Fit) -> Parameters:
@@ -492,18 +555,28 @@ def _toml(fit: Fit) -> str:
         if kind == "com" and (centres := _written(fit).com):
             lines += ["", "[com]"]
             lines += [f"{link} = {np.round(at, 4).tolist()}" for link, at in centres.items()]
-        untold = [one.name for one in fit.values if one.kind == kind and not one.told]
+        untold = [
+            (one.name, _WHY[one.why]) for one in fit.values if one.kind == kind and not one.told
+        ]
         if told or untold:
             lines += ["", f"[{kind}]"]
         for one in told:
             value = max(one.value, _LEAST.get(kind, one.value))
             lines.append(f"{one.name} = {value:.5f}  {_interval(one, unit)}")
-        lines += [f"# {name}: not determined by the sessions" for name in untold]
+        lines += [f"# {name}: not determined, {why}" for name, why in untold]
     return "\n".join(lines) + "\n"
 
 
+_WHY: Final = {
+    "wide": "the interval is too wide",
+    "impossible": "the value is impossible",
+    "unlike": "the joint moves unlike one with these parameters, for example with play; no interval",
+}
+
+
 def _interval(one: FittedValue, unit: str) -> str:
-    return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip()
+    differs = "" if one.differs else ", the default is inside"
+    return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip() + differs
 
 
 def _render(fit: Fit) -> str:
@@ -512,34 +585,21 @@ def _render(fit: Fit) -> str:
     rows: list[Sequence[str]] = [heads]
     kinds: tuple[Kind, ...] = ("damping", "friction", "armature", "torque_scale")
     of_joints = {one.name for one in fit.values if one.kind == "friction"}
-    untold = []
     for name in (name for name in JOINT_NAMES if name in of_joints):
         cells = [name.removesuffix("_joint")]
         for kind in kinds:
-            one = fit.find(kind, name)
-            digits = 4 if kind == "armature" else 3
-            cells += [f"{one.value:.{digits}f}", f"{one.value - one.low:.{digits}f}"]
-            if not one.told:
-                cells[-2:] = ["?", f"{one.value - one.low:.{digits}f}"]
-                untold.append(one)
+            cells += [str(fit.find(kind, name)), fit.find(kind, name).half]
         rows.append(cells)
-    masses = [one for one in fit.values if one.kind == "mass"]
     added = [("link", "kg added", "+-")]
-    added += [
-        (
-            one.name.removesuffix("_link"),
-            f"{one.value:+.3f}" if one.told else "?",
-            f"{one.value - one.low:.3f}",
-        )
-        for one in masses
-    ]
     for one in fit.values:
-        if one.kind in AXES:
-            what = f"{one.name.removesuffix('_link')} {one.kind.replace('_', ' ')}, m"
-            shift = f"{one.value:+.4f}" if one.told else "?"
-            added.append((what, shift, f"{one.value - one.low:.4f}"))
+        if one.kind in ("mass", *AXES):
+            shift = f" {one.kind.replace('_', ' ')}, m" if one.kind in AXES else ""
+            added.append((f"{one.name.removesuffix('_link')}{shift}", str(one), one.half))
     delay = fit.find("command_delay")
-    told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
+    told = f"{1e3 * delay.value:.2f} ms{'*' if delay.differs else ''}"
+    told += f", +- {1e3 * ((delay.high or 0.0) - delay.value):.2f}"
+    reasons = {one.why: _WHY[one.why] for one in fit.values if one.why}
+    differ = sum(one.differs for one in fit.values)
     less = f"{100 * fit.reduction:.0f} % less" if fit.reduction > 0.0 else "not less"
     return "\n".join(
         [
@@ -550,7 +610,9 @@ def _render(fit: Fit) -> str:
             f"delay   {told if delay.told else 'not determined by the sessions'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
             f"after, {less}, of {fit.held_out}",
-            *(["?       the sessions do not determine this value"] if untold else []),
+            labelled("*       ", f"differs from the default: {differ} of {len(fit.values)} values"),
+            *(labelled("?       ", f"not determined: {why}") for why in reasons.values()),
+            *([labelled("refused ", fit.refusal)] if fit.refusal else []),
             "units   damping N·m·s/rad, friction N·m, armature kg·m²; +-: half the 95 % interval",
             "",
             *table(rows, left=(0,)),

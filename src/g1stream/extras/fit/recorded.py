@@ -258,6 +258,16 @@ class Recorded:
         feed, kp, kd = (mean / self.period).transpose(1, 0, 2)
         return feed - kp * self.q - kd * self.dq, feed
 
+    def wait(self, early: float) -> float:
+        """Mean time from the publish times of commands, s, until the embedded simulator uses them.
+
+        Commands count as received `early` s earlier.
+        """
+        commands = self.command_times - round(early * 1e9)
+        state = np.searchsorted(self.published, commands).clip(0, len(self.published) - 1)
+        waits = (self.published[state] - self.command_times) / 1e9
+        return float(np.mean(waits[np.abs(waits) <= 2.0 * self.period]))
+
     def in_force(self, delay: float, early: float = 0.0) -> Ints:
         """(N,) index of the command in force from each LowState to the next one; -1 for none.
 

@@ -99,12 +99,17 @@ class Estimate(NamedTuple):
         covariance: (P, P) from blocks of equations, for any distribution of their errors.
         blocks: number of blocks.
         residual: (29,) mean square of the equations' residuals, (N·m)².
+        independent: (29,) number of equations that are independent under the low-pass.
+        pulled: (29, P) change of the values by what a joint alone would change in those that joints
+            share; their sum is 0 but for the priors.
     """
 
     values: Floats
     covariance: Floats
     blocks: int
     residual: Floats
+    independent: Floats
+    pulled: Floats
 
 
 def names_of(added: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -193,7 +198,10 @@ class Regression:
         inverse = np.linalg.inv(total)
         few = len(blocks) / max(1, len(blocks) - 4)
         spread = few * scores.T @ scores + regular
-        return Estimate(values, inverse @ spread @ inverse, len(blocks), variance)
+        pulls = (of_joint[:, n:-1] @ residual.transpose(0, 2, 1))[:, :, 0] / variance[:, np.newaxis]
+        pulled = pulls @ -inverse[shared]
+        covariance, independent = inverse @ spread @ inverse, rows * (2.0 * _CUTOFF / _ROWS)
+        return Estimate(values, covariance, len(blocks), variance, independent, pulled)
 
     def _blocks(self, movement: Movement) -> list[_Block]:
         """The equations of a movement, block by block."""

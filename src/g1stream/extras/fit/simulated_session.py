@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from g1stream.analysis.signals import SIMULATED
 from g1stream.app.session import Session, open_session
 from g1stream.extras.fit.recorded import Recorded, noise_of, smoothed
-from g1stream.extras.fit.simulation import Simulated, simulate_commands, world_support
+from g1stream.extras.fit.simulation import (
+    JITTER,
+    Simulated,
+    doubt,
+    simulate_commands,
+    world_support,
+)
 from g1stream.robot.dynamics import GRAVITY, STICTION_SPEED, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
@@ -27,15 +33,26 @@ from g1stream.text import labelled, table
 from g1stream.types import Floats
 from g1stream.view.encoders import JointStatesTemplate
 
-__all__ = ["Cause", "Gap", "JointGap", "Servo", "excess", "gap", "robot_of", "servo_law"]
+__all__ = [
+    "FAR",
+    "FAR_OFF",
+    "Cause",
+    "Gap",
+    "JointGap",
+    "Servo",
+    "excess",
+    "gap",
+    "robot_of",
+    "servo_law",
+]
 
 _FIELDS: Final = ("position", "velocity", "effort")
 #: A joint differs if the RMS position difference without noise is above this, rad, and above twice
 #: its noise.
 _DIFFERS: Final = 5e-4
 #: A larger gap, rad, has another cause than parameters, and a delay below this, s, is none.
-_FAR: Final = 0.05
-_FAR_OFF: Final = "so much is mostly due to another support (--support) or robot (--robot)"
+FAR: Final = 0.05
+FAR_OFF: Final = "so much is mostly due to another support (--support) or robot (--robot)"
 _ON_TIME: Final = 1e-3
 #: A cause is reported above this fraction of the difference and number of standard errors.
 _SHARE: Final = 0.1
@@ -46,6 +63,8 @@ _CUTOFF: Final = 15.0
 _EVERY: Final = 5
 #: Slower joints (RMS) show neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
+#: The delay is known with a smaller standard error, s.
+_KNOWN: Final = 5e-4
 #: Largest change of the delay, s, in one of so many linearisations.
 _LONGEST, _LINEARISED = 0.03, 4
 #: Windows of the servo law, s; the low-pass has not settled at their ends, s. A joint's least mean
@@ -112,8 +131,10 @@ class Gap(Record):
         support: how the simulated base was held.
         window_s: length of a window.
         simulated_s: length of all windows.
-        delay_s: delay of the torques relative to the commands that the simulator would use; None
-            if unknown.
+        delay_s: time by which the robot uses commands later than the simulator; None if unknown.
+        delay_low_s, delay_high_s: its limits, because a command close to a LowState belongs to
+            either, and whether LowState has the torque of an instant or of a period is unknown.
+        doubt: why the robot cannot have been held so; empty if it can.
         q_rad: RMS position difference of all joints, without noise.
         joints: by name, the largest difference first.
     """
@@ -125,6 +146,9 @@ class Gap(Record):
     window_s: float
     simulated_s: float
     delay_s: float | None = None
+    delay_low_s: float | None = None
+    delay_high_s: float | None = None
+    doubt: str = ""
     q_rad: float
     joints: dict[str, JointGap]
 
@@ -208,9 +232,13 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
     usual = excess(np.sqrt(rest / known.sum()), noise["q"])
     differs = (usual > np.maximum(_DIFFERS, 2.0 * noise["q"])) & robot.present
-    delay = servo_law([recorded], robot).delay
-    own = None if delay is None else delay - robot.parameters.command_delay
-    causes = _causes(recorded, robot, differences, known, differs, own)
+    servo, period = servo_law([recorded], robot), recorded.period
+    ticks = int(robot.parameters.command_delay / period + 1e-6)
+    delays: list[float | None] = [None] * 3
+    if servo.delay_error < _KNOWN:
+        ranges = ((0.0, 0.0), (-JITTER, -0.5), (JITTER, 0.5))
+        delays = [servo.delay + n * period - ticks * period - recorded.wait(j) for j, n in ranges]
+    causes = _causes(recorded, robot, differences, known, differs, servo.delay)
     present = np.flatnonzero(robot.present)
     joints = {
         JOINT_NAMES[j]: JointGap(
@@ -235,7 +263,10 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
         support=simulated.support,
         window_s=window,
         simulated_s=float(sum(lengths)),
-        delay_s=own,
+        delay_s=delays[0],
+        delay_low_s=delays[1],
+        delay_high_s=delays[2],
+        doubt=doubt(recorded, simulated.support),
         q_rad=float(np.sqrt(np.mean(left[present] ** 2))),
         joints=joints,
     )
@@ -433,11 +464,15 @@ def _render(found: Gap) -> str:
         rows.append((name.removesuffix("_joint"), *cells))
     lines = table(rows, left=(0,)) if shown else []
     delay, notes = found.delay_s or 0.0, list[str]()
-    if abs(delay) > _ON_TIME:
-        when = f"{1e3 * abs(delay):.0f} ms {'later' if delay > 0.0 else 'earlier'}"
+    low, high = found.delay_low_s or 0.0, found.delay_high_s or 0.0
+    if abs(delay) > _ON_TIME and low * high > 0.0:
+        when = f"{1e3 * abs(delay):.1f} ms {'later' if delay > 0.0 else 'earlier'}"
+        when += f" ({1e3 * min(abs(low), abs(high)):.1f} to {1e3 * max(abs(low), abs(high)):.1f})"
         notes.append(f"  delay  commands act {when} than in the simulator, at all joints")
-    if found.q_rad > _FAR:
-        notes.append(labelled("         ", _FAR_OFF))
+    if found.doubt:
+        notes.append(labelled("         ", found.doubt))
+    elif found.q_rad > FAR:
+        notes.append(labelled("         ", FAR_OFF))
     meaning = (
         "+: the robot has more than the simulator. In brackets the share of the difference that "
         "this explains. These are hints; `g1stream fit` measures."

@@ -16,11 +16,19 @@ from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, yaw_of
 from g1stream.sim.world import MotorCommand, Root, World
 from g1stream.types import Floats, Ints, StreamSupport, Support
 
-__all__ = ["Simulated", "simulate_commands", "world_support"]
+__all__ = ["JITTER", "Simulated", "doubt", "simulate_commands", "world_support"]
+
+JITTER: Final = 4e-4
+"""Time, s, from the publish time of a command or LowState within which the other side may take or
+have taken a message: that of DDS on one machine, about 0.1 ms, and of a bridge that publishes three
+messages before it takes a command."""
 
 _SUPPORTS: Final[tuple[str, ...]] = get_args(StreamSupport)
 #: Step of the physics, s, as in the embedded simulator at 500 Hz.
 _TIMESTEP: Final = 1e-3
+#: A bolted pelvis turns slower than this, and a hanging one faster than the next if its joints move
+#: (all velocities' standard deviation), rad/s. A G1 that hangs and plays a motion turns at 0.2 to 1.
+_TURNS, _RESTS, _MOVES = 0.05, 0.01, 0.2
 #: Number of samples on both sides for the cubic that gives the initial state of a window.
 _SIDE: Final = 12
 #: Below this noise a window begins with the measured state itself, rad and rad/s.
@@ -39,7 +47,8 @@ class Simulated:
         windows: the states of each window.
         support: how the base was held.
         spread: (3, 29) RMS uncertainty of position, velocity and torque from the noise of the
-            measured state with which a window begins.
+            measured state with which a window begins, and from commands that arrive so close to a
+            LowState, see `JITTER`, that the robot may have used them a period earlier or later.
     """
 
     q: Floats
@@ -85,6 +94,17 @@ def world_support(
     return held
 
 
+def doubt(recorded: Recorded, support: Support) -> str:
+    """Why the pelvis's gyroscope contradicts how the base is said to be held; empty if not."""
+    turning = float(np.sqrt(np.mean(np.square(recorded.smooth_base()[1]).sum(axis=1))))
+    what = f"the pelvis turned at {turning:.2g} rad/s RMS"
+    if support == "bolted" and turning > _TURNS:
+        return f"{what}, so it was not bolted"
+    if support == "hanging" and turning < _RESTS and recorded.dq.std() > _MOVES:
+        return f"{what} while joints moved, so it did not hang"
+    return ""
+
+
 def simulate_commands(
     recorded: Recorded,
     robot: G1,
@@ -117,6 +137,7 @@ def simulate_commands(
     world = World(robot, support, self_collision=self_collision, timestep=_TIMESTEP)
     delay = robot.parameters.command_delay
     run = _Run(recorded, world, recorded.in_force(delay), support, delay if exact else None)
+    early = [recorded.in_force(delay, one) for one in (JITTER, -JITTER)]
     noise = float(noise_of(recorded.q).max()), float(noise_of(recorded.dq).max())
     values = np.full((len(recorded.time), 3, N_JOINTS), np.nan)
     base = np.full((len(recorded.time), 10), np.nan)
@@ -128,9 +149,10 @@ def simulate_commands(
         found, of_base = run.window(part, state)
         kept = 0 if part.start == 0 else 1  # the end of a window counts, not the start of the next
         values[part][kept:], base[part][kept:] = found[kept:], of_base[kept:]
-        if repeats and number % every == 0 and deviation.any():
-            other, _ = run.window(part, state + deviation @ rng.standard_normal((2, N_JOINTS)))
-            squares += np.square(other - found)[1:].sum(axis=0)
+        if repeats and number % every == 0:
+            other = _Run(recorded, world, early[number // every % 2], support)
+            state = state + deviation @ rng.standard_normal((2, N_JOINTS))
+            squares += np.square(other.window(part, state)[0] - found)[1:].sum(axis=0)
             n += len(found) - 1
     q, dq, tau = values.transpose(1, 0, 2)
     return Simulated(q, dq, tau, base, windows, support, np.sqrt(squares / max(1, n)))

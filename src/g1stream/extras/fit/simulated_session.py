@@ -63,8 +63,8 @@ _CUTOFF: Final = 15.0
 _EVERY: Final = 5
 #: Slower joints (RMS) show neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
-#: The delay is known with a smaller standard error, s.
-_KNOWN: Final = 5e-4
+#: The delay is known with a smaller standard error, s. Longest cycle of a drive or physics step, s.
+_KNOWN, _STEP = 5e-4, 1e-3
 #: Largest change of the delay, s, in one of so many linearisations.
 _LONGEST, _LINEARISED = 0.03, 4
 #: Windows of the servo law, s; the low-pass has not settled at their ends, s. A joint's least mean
@@ -133,7 +133,8 @@ class Gap(Record):
         simulated_s: length of all windows.
         delay_s: time by which the robot uses commands later than the simulator; None if unknown.
         delay_low_s, delay_high_s: its limits, because a command close to a LowState belongs to
-            either, and whether LowState has the torque of an instant or of a period is unknown.
+            either, and whether LowState has the torque of an instant or of a period, and from
+            which moment of its cycle a drive's torque counts, is unknown.
         doubt: why the robot cannot have been held so; empty if it can.
         q_rad: RMS position difference of all joints, without noise.
         joints: by name, the largest difference first.
@@ -236,8 +237,8 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     ticks = int(robot.parameters.command_delay / period + 1e-6)
     delays: list[float | None] = [None] * 3
     if servo.delay_error < _KNOWN:
-        ranges = ((0.0, 0.0), (-JITTER, -0.5), (JITTER, 0.5))
-        delays = [servo.delay + n * period - ticks * period - recorded.wait(j) for j, n in ranges]
+        own, unsure = servo.delay - ticks * period, 0.5 * (period + _STEP)
+        delays = [own + n * unsure - recorded.wait(-n * JITTER) for n in (0, -1, 1)]
     causes = _causes(recorded, robot, differences, known, differs, servo.delay)
     present = np.flatnonzero(robot.present)
     joints = {
@@ -310,7 +311,7 @@ def servo_law(records: Sequence[Recorded], robot: G1, delay: float = 0.0) -> Ser
         if not told.any():
             break
         normal = total[told, :3, :3]
-        normal = normal * (1.0 + 1e-9 * np.eye(3))
+        normal = normal + 1e-9 * normal[:, :1, :1] * np.eye(3)
         found = np.linalg.solve(normal, total[told, :3, 3:])
         scores = products[:, told, :3, 3:] - products[:, told, :3, :3] @ found
         inverse = np.linalg.inv(normal)

@@ -118,7 +118,7 @@ def main() -> None:
                     f"{seconds:.0f} s of CPU {refusal}",
                     flush=True,
                 )
-    rows = {}
+    rows: dict[str, dict[str, float | None]] = {}
     for kind, values in {**kinds, "all": [row for one in kinds.values() for row in one]}.items():
         told = [row for row in values if row[0]]
         rows[kind] = {
@@ -141,11 +141,8 @@ def main() -> None:
         return
     heads = ("values", "told", "inside", "default", "marked", "median error")
     print(f"{'':<16}" + "".join(f"{head:>13}" for head in heads))
-    for kind, row in rows.items():
-        cells = [
-            "" if one is None else str(one) if isinstance(one, int) else f"{one:.4g}"
-            for one in row.values()
-        ]
+    for kind, figures_of in rows.items():
+        cells = ["" if one is None else f"{one:.4g}" for one in figures_of.values()]
         print(f"{kind:<16}" + "".join(f"{cell:>13}" for cell in cells))
     for name, value in figures.items():
         print(f"{name.replace('_', ' '):<20}{value}")

@@ -141,6 +141,14 @@ class Foreign:
         tau = np.stack([dynamics.solve(support, *row, base).tau for row in rows])  # type: ignore[arg-type]
         return {"q": wanted.joint_pos, "dq": wanted.joint_vel, "tau": tau}
 
+    def _teeth(self, inverse_inertia: Floats, between: Floats, faster: Floats) -> Floats:
+        """The torque of the rotor on the link: in contact a resonance of 1500 rad/s, damped 0.3."""
+        reduced: Floats = 1.0 / (inverse_inertia + 1.0 / self.armature)
+        pressed = between - np.clip(between, -0.5 * self.backlash, 0.5 * self.backlash)
+        damped = 2.0 * 0.3 * 1500.0 * faster * (pressed != 0.0)
+        torque: Floats = reduced * (1500.0**2 * pressed + damped)
+        return torque
+
     def _simulate(
         self,
         model: Any,
@@ -164,10 +172,6 @@ class Foreign:
         mujoco.mj_forward(model, data)
         # Of the rotor; without backlash those of the link.
         rotor, speed = data.qpos[q].copy(), np.zeros(N_JOINTS)
-        # The teeth: a resonance of 1500 rad/s of rotor and link, damped by 0.3.
-        link = 1.0 / model.dof_invweight0[v]
-        reduced = link * self.armature / (link + self.armature)
-        stiff, damp = reduced * 1500.0**2, 2.0 * 0.3 * reduced * 1500.0
         acts = acts - first
         every, grid = round(PERIOD / 1e9 / self.step), round(self.step * 1e9)
         n = (acts[-1] - round(self.delay * 1e9)) // PERIOD
@@ -195,9 +199,8 @@ class Foreign:
             total = total + applied
             passed = applied
             if self.backlash:
-                between = rotor - data.qpos[q]
-                pressed = between - np.clip(between, -0.5 * self.backlash, 0.5 * self.backlash)
-                passed = stiff * pressed + damp * (speed - data.qvel[v]) * (pressed != 0.0)
+                between, faster = rotor - data.qpos[q], speed - data.qvel[v]
+                passed = self._teeth(model.dof_invweight0[v], between, faster)
                 pull = applied - passed - self.damping * speed
                 speed = speed + self.step * pull / self.armature
                 # Dry friction can stop the rotor within a step, and cannot turn it back.

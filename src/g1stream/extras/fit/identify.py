@@ -39,7 +39,7 @@ from g1stream.extras.fit.simulated_session import (
     robot_of,
     servo_law,
 )
-from g1stream.extras.fit.simulation import doubt, simulate_commands, world_support
+from g1stream.extras.fit.simulation import Simulated, doubt, simulate_commands, world_support
 from g1stream.files import complete_file
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -311,9 +311,7 @@ def _scales(servo: Servo) -> Floats:
 
 def _measured(recorded: Recorded, support: Support, delay: float) -> Movement:
     windows, base = _windows(recorded), _base(recorded)
-    return Movement(
-        recorded.q, *recorded.servo(delay), base, recorded.period, windows, support
-    )
+    return Movement(recorded.q, *recorded.servo(delay), base, recorded.period, windows, support)
 
 
 def _base(recorded: Recorded) -> Floats:
@@ -324,9 +322,7 @@ def _base(recorded: Recorded) -> Floats:
 class _Simulation:
     """Simulations of the sessions with some parameters, estimated like the measurements."""
 
-    def __init__(
-        self, data: Sequence[tuple[Recorded, Support]], robot: G1, servo: Servo
-    ) -> None:
+    def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1, servo: Servo) -> None:
         self._data, self._robot, self._servo = data, robot, servo
         self._runs = [
             simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False, exact=True)
@@ -335,29 +331,38 @@ class _Simulation:
 
     def estimate(self, regression: Regression, draws: int) -> Estimate:
         """The estimate, the mean over draws of the sensor noise."""
-        rng = np.random.default_rng(draws)
-        found = []
+        rng, servo, found = np.random.default_rng(draws), self._servo, []
         for _ in range(draws):
-            noisy = []
-            for (one, _), run in zip(self._data, self._runs, strict=True):
-                known = ~np.isnan(run.tau[:, 0])
-                sensed = (one.q, one.dq, one.tau, _base(one))
-                q, dq, tau, base = (
-                    np.where(known[:, np.newaxis], clean, alike)
-                    + noise_of(alike) * rng.standard_normal(clean.shape)
-                    for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
-                )
-                imu = base[:, :4], base[:, 4:7], base[:, 7:]
-                names = ("quat_wxyz", "gyroscope", "accelerometer")
-                noisy.append(replace(one, q=q, dq=dq, tau=tau, **dict(zip(names, imu, strict=True))))
-            delay = self._servo.delay
-            scale = servo_law(noisy, self._robot, delay).scale, self._servo.scale_error
+            noisy = [
+                _sensed(one, run, rng) for (one, _), run in zip(self._data, self._runs, strict=True)
+            ]
+            scale = servo_law(noisy, self._robot, servo.delay).scale
             movements = [
-                _measured(one, held, delay)
+                _measured(one, held, servo.delay)
                 for one, (_, held) in zip(noisy, self._data, strict=True)
             ]
-            found.append(regression.estimate(movements, _scales(Servo(0.0, 0.0, *scale))))
+            found.append(regression.estimate(movements, _scales(servo._replace(scale=scale))))
         return Estimate(*(np.mean(one, axis=0) for one in zip(*found, strict=True)))
+
+
+def _sensed(recorded: Recorded, run: Simulated, rng: np.random.Generator) -> Recorded:
+    """The recording with the states of a simulation, and the noise of its own."""
+    known = ~np.isnan(run.tau[:, :1])
+    sensed = recorded.q, recorded.dq, recorded.tau, _base(recorded)
+    q, dq, tau, base = (
+        np.where(known, clean, alike) + noise_of(alike) * rng.standard_normal(clean.shape)
+        for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
+    )
+    quat, gyroscope, accelerometer = base[:, :4], base[:, 4:7], base[:, 7:]
+    return replace(
+        recorded,
+        q=q,
+        dq=dq,
+        tau=tau,
+        quat_wxyz=quat,
+        gyroscope=gyroscope,
+        accelerometer=accelerometer,
+    )
 
 
 def _moved_links(
@@ -431,12 +436,14 @@ def _fit(
     reach, all_reach = student.ppf([0.975, 1.0 - 0.025 / len(names)], freedom)
     misfit = _misfit(aim, simulated)
     found = []
-    for (kind, name), value, error in zip(names, aim.values.tolist(), errors, strict=True):
+    start = np.where([kind == "command_delay" for kind, _ in names], servo.delay, 0.0)
+    for (kind, name), value, error in zip(
+        names, (aim.values + start).tolist(), errors.tolist(), strict=True
+    ):
         joint = JOINT_NAMES.index(name) if kind in OF_JOINTS else None
         if joint is not None and not robot.present[joint]:
             continue
         default = 0.0 if joint is None else float(getattr(NOMINAL, kind)[joint])
-        value += servo.delay if kind == "command_delay" else 0.0
         least, to = _FINEST.get(kind, 0.0), float(reach * error)
         why: Untold = "wide" if to > _TOLD.get(kind, _OF_VALUE * max(abs(value), default)) else ""
         if kind in _LEAST and joint is not None and misfit[joint]:
@@ -483,7 +490,7 @@ def _misfit(aim: Estimate, simulated: Estimate) -> NDArray[np.bool_]:
     ranked = np.sort(chance)
     found = ranked[ranked <= 0.05 * np.arange(1, N_JOINTS + 1) / N_JOINTS]
     misfit: NDArray[np.bool_] = chance <= found.max(initial=0.0)
-    return misfit | (misfit.mean() > _MANY)
+    return np.ones_like(misfit) if misfit.mean() > _MANY else misfit
 
 
 def _refusal(fit: Fit, servo: Servo, records: Sequence[Recorded], held: Sequence[Support]) -> str:
@@ -572,7 +579,7 @@ def _toml(fit: Fit) -> str:
 _WHY: Final = {
     "wide": "the interval is too wide",
     "impossible": "the value is impossible",
-    "unlike": "the joint moves unlike one with these parameters, for example with play; no interval",
+    "unlike": "the joint moves unlike one with such parameters, for example with play; no interval",
 }
 
 

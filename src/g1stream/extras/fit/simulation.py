@@ -27,7 +27,8 @@ _SUPPORTS: Final[tuple[str, ...]] = get_args(StreamSupport)
 #: Step of the physics, s, as in the embedded simulator at 500 Hz.
 _TIMESTEP: Final = 1e-3
 #: A bolted pelvis turns slower than this, and a hanging one faster than the next if its joints move
-#: (all velocities' standard deviation), rad/s. A G1 that hangs and plays a motion turns at 0.2 to 1.
+#: (standard deviation of all velocities), rad/s. A G1 that hangs and plays a motion turns at 0.2 or
+#: more.
 _TURNS, _RESTS, _MOVES = 0.05, 0.01, 0.2
 #: Number of samples on both sides for the cubic that gives the initial state of a window.
 _SIDE: Final = 12
@@ -150,10 +151,12 @@ def simulate_commands(
         kept = 0 if part.start == 0 else 1  # the end of a window counts, not the start of the next
         values[part][kept:], base[part][kept:] = found[kept:], of_base[kept:]
         if repeats and number % every == 0:
-            other = _Run(recorded, world, early[number // every % 2], support)
             state = state + deviation @ rng.standard_normal((2, N_JOINTS))
-            squares += np.square(other.window(part, state)[0] - found)[1:].sum(axis=0)
-            n += len(found) - 1
+            used = recorded.in_force(delay)[part]
+            for numbers in [one for one in early if (one[part] != used).any()] or early[:1]:
+                other, _ = _Run(recorded, world, numbers, support).window(part, state)
+                squares += np.square(other - found)[1:].sum(axis=0)
+                n += len(found) - 1
     q, dq, tau = values.transpose(1, 0, 2)
     return Simulated(q, dq, tau, base, windows, support, np.sqrt(squares / max(1, n)))
 
@@ -216,7 +219,7 @@ class _Run:
         """
         if self._delay is None:
             return
-        edges = start + _TIMESTEP * (np.arange(n + 1) - 0.5)
+        edges = np.array(start + _TIMESTEP * (np.arange(n + 1) - 0.5))
         on, zero = np.ones(N_JOINTS, dtype=bool), np.zeros(N_JOINTS)
         for feed, kp, kd in np.diff(self._recorded.total(self._delay, edges), axis=0) / _TIMESTEP:
             yield MotorCommand(on, zero, zero, feed, kp, kd)

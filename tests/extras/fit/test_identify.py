@@ -141,6 +141,16 @@ def test_a_wrong_support_is_refused(foreign, tmp_path, support, said):
     assert not params.exists()
 
 
+def test_parameters_of_another_robot_are_refused(foreign, session, tmp_path):
+    default = foreign(delay=1e-3).play(exciting_motion(seconds=6.0, seed=3))
+    fit = fit_parameters([session], hold_out=default, support="bolted")
+    assert fit.reduction < 0.0
+    assert fit.refusal
+    with pytest.raises(RecordingError):
+        fit.save(tmp_path / "g1.toml")
+    assert not (tmp_path / "g1.toml").exists()
+
+
 def test_the_held_out_gap_shrinks(fit):
     assert fit.held_out == "the last 20 %"
     assert fit.gap_before_rad > 3e-3

@@ -222,17 +222,17 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     pairs = ("q", "dq", "tau")
     differences = {name: getattr(recorded, name) - getattr(simulated, name) for name in pairs}
     rms = {name: np.sqrt(np.mean(values[known] ** 2, 0)) for name, values in differences.items()}
-    sensors = {name: noise_of(getattr(recorded, name)) for name in pairs}
-    noise = {name: np.hypot(sensors[name], simulated.spread[i]) for i, name in enumerate(pairs)}
+    noise = {
+        name: np.hypot(noise_of(getattr(recorded, name)), simulated.spread[i])
+        for i, name in enumerate(pairs)
+    }
     left = excess(rms["q"], noise["q"])
     # Without the worst window, because a jerk at its start may hide the state in noise.
     squares = np.where(known[:, np.newaxis], differences["q"] ** 2, 0.0)
     by_window = np.array([squares[part].sum(axis=0) for part in simulated.windows])
     rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
     usual = excess(np.sqrt(rest / known.sum()), noise["q"])
-    # Sensor noise is known within 5 % from hundreds of samples, the spread within a factor of 2.
-    unsure = np.maximum(0.5 * sensors["q"], 2.0 * simulated.spread[0])
-    differs = (usual > np.maximum(_DIFFERS, unsure)) & robot.present
+    differs = (usual > np.maximum(_DIFFERS, 2.0 * noise["q"])) & robot.present
     servo, period = servo_law([recorded], robot), recorded.period
     ticks = int(robot.parameters.command_delay / period + 1e-6)
     delays: list[float | None] = [None] * 3

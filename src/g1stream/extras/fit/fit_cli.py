@@ -30,7 +30,7 @@ class FitParameters(SettingsCommand):
 
     Exit codes:
       0  fitted and written
-      1  refused: the gap does not shrink, or delay or support contradict the session; not written
+      1  not written: the gap does not shrink, or delay or support are impossible
       2  bad input: no commands, states or torques, or the robot stood on its feet
     """
 

@@ -584,7 +584,7 @@ _WHY: Final = {
 
 
 def _interval(one: FittedValue, unit: str) -> str:
-    differs = "" if one.differs else ", the default is inside"
+    differs = "" if one.differs else ", may be the default"
     return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip() + differs
 
 
@@ -621,7 +621,7 @@ def _render(fit: Fit) -> str:
             f"after, {less}, of {fit.held_out}",
             labelled("*       ", f"differs from the default: {differ} of {len(fit.values)} values"),
             *(labelled("?       ", f"not determined: {why}") for why in reasons.values()),
-            *([labelled("refused ", fit.refusal)] if fit.refusal else []),
+            *([labelled("refused ", f"{fit.refusal}; no file is written")] if fit.refusal else []),
             "units   damping N·m·s/rad, friction N·m, armature kg·m²; +-: half the 95 % interval",
             "",
             *table(rows, left=(0,)),

@@ -28,7 +28,7 @@ from g1stream.analysis.tracking import rms
 from g1stream.app.session import open_session
 from g1stream.errors import G1StreamError
 from g1stream.extras.fit.excite import exciting_motion
-from g1stream.extras.fit.identify import Fit, fit_parameters
+from g1stream.extras.fit.identify import Fit, FittedValue, fit_parameters
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from tracking_peers import PEERS, missing, running, stream_on_peer
@@ -64,6 +64,11 @@ def other_model(directory: Path) -> Path:
     return directory / "scene_29dof.xml"
 
 
+def inside_of(one: FittedValue, true: float) -> bool:
+    """Whether the 95 % interval has the true value."""
+    return one.low is not None and one.high is not None and one.low <= true <= one.high
+
+
 def compare(fit: Fit, scene: Path, added: dict[str, float]) -> None:
     """Print what was found beside the model."""
     import mujoco
@@ -79,13 +84,13 @@ def compare(fit: Fit, scene: Path, added: dict[str, float]) -> None:
     print(f"{'':<10}{'told':>8}{'inside':>8}{'median error':>14}{'median value':>14}")
     for kind, values in truth.items():
         told = [one for one in fit.values if one.kind == kind and one.told]
-        inside = np.mean([one.low <= values[one.name] <= one.high for one in told])
+        inside = np.mean([inside_of(one, values[one.name]) for one in told])
         error = median(abs(one.value - values[one.name]) for one in told)
         size = median(abs(value) for value in values.values())
         print(f"{kind:<10}{len(told):>5}/{len(values):<2}{inside:>8.2f}{error:>14.4f}{size:>14.4f}")
     for name, mass in added.items():
         one = fit.find("mass", name)
-        print(f"{name}: {mass:g} kg added, {one.value:.3f} +- {one.value - one.low:.3f} found")
+        print(f"{name}: {mass:g} kg added, {one.value:.3f} +- {one.half} found")
 
 
 def errors(path: Path) -> tuple[float, float]:

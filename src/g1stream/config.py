@@ -397,7 +397,7 @@ class SimConfig(Table):
     )
     command_delay: float = setting(
         0.0,
-        "time from receiving a LowCmd until the motors apply it",
+        "time from receiving a LowCmd until the motors apply it, in whole periods of LowState",
         "s",
         flag=("sim", "demo"),
         advanced=True,

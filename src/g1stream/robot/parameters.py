@@ -36,7 +36,7 @@ class Parameters:
         friction: (29,) dry (Coulomb) friction, N·m.
         armature: (29,) inertia of the rotor, reflected to the joint, kg·m².
         torque_scale: (29,) ratio of the torque that a motor applies to the commanded torque.
-        command_delay: time from receiving a LowCmd until the motors apply it, s.
+        command_delay: time from the publish time of a LowCmd until the motors apply it, s.
         mass: mass added at the centre of mass of a link, kg, by link.
         com: (3,) shift of the centre of mass of a link, m, in the link's frame, by link.
         robot: name of the robot that masses and centres of mass are relative to; None: any.
@@ -98,7 +98,7 @@ class ParametersFile(Table):
         None, "robot that masses and centres of mass are relative to", example="g1_29dof"
     )
     command_delay: float = setting(
-        0.0, "time from receiving a LowCmd until the motors apply it", "s", ge=0.0, le=0.1
+        0.0, "time from publishing a LowCmd until the motors apply it", "s", ge=0.0, le=0.1
     )
     damping: dict[str, Annotated[float, Field(ge=0.0, le=20.0)]] = setting(
         {}, "viscous friction", "N·m·s/rad"

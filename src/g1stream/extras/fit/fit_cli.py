@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
@@ -30,6 +30,7 @@ class FitParameters(SettingsCommand):
 
     Exit codes:
       0  fitted and written
+      1  not written: the gap does not shrink, or delay or support are impossible
       2  bad input: no commands, states or torques, or the robot stood on its feet
     """
 
@@ -88,11 +89,13 @@ class FitParameters(SettingsCommand):
                 support=self.support,
                 progress=partial(progress, "fit"),
             )
-        written = fit.save(self.out, force=self.force) if self.out is not None else None
+        written = None
+        if self.out is not None and not fit.refusal:
+            written = fit.save(self.out, force=self.force)
         if self.json:
             print_json(fit.model_dump(mode="json"))
         else:
             print_lines(str(fit))
             if written:
                 print_lines(f"\nwritten to {written}")
-        return EXIT_OK
+        return EXIT_STOPPED if fit.refusal else EXIT_OK

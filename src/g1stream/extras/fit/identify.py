@@ -15,15 +15,31 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from g1stream.app.session import Session, open_session
 from g1stream.errors import RecordingError
 from g1stream.extras.fit.recorded import Recorded, noise_of
-from g1stream.extras.fit.regression import AXES, LINKS, Estimate, Movement, Regression, names_of
-from g1stream.extras.fit.simulated_session import compare, motor_torque, robot_of, torque_delay
-from g1stream.extras.fit.simulation import simulate_commands, world_support
+from g1stream.extras.fit.regression import (
+    AXES,
+    LINKS,
+    OF_JOINTS,
+    Estimate,
+    Movement,
+    Regression,
+    names_of,
+)
+from g1stream.extras.fit.simulated_session import (
+    FAR,
+    FAR_OFF,
+    Servo,
+    compare,
+    robot_of,
+    servo_law,
+)
+from g1stream.extras.fit.simulation import Simulated, doubt, simulate_commands, world_support
 from g1stream.files import complete_file
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -45,8 +61,8 @@ Kind = Literal[
     "com_y",
     "com_z",
     "command_delay",
-    "torque_lag",
 ]
+Untold = Literal["", "wide", "impossible", "unlike"]
 
 #: Length of a window of the regression, and of one of the validation, s.
 _WINDOW, _JUDGED = 2.0, 1.0
@@ -58,15 +74,23 @@ _ROUNDS, _MORE_ROUNDS, _DRAWS = 3, 2, 4
 #: Fraction of a single session that is used for validation.
 _HELD_OUT: Final = 0.2
 #: A session determines a value if half its 95 % interval is at most this: as a fraction of the
-#: value or of the default if that is larger; of masses, kg; of centres of mass, m; of scales.
-_TOLD, _TOLD_MASS, _TOLD_COM, _TOLD_SCALE = 0.5, 0.5, 0.02, 0.05
+#: value, or of the default if that is larger; of masses, kg; shifts, m; scales; the delay, s.
+_OF_VALUE: Final = 0.5
+_TOLD: Final = {
+    "mass": 0.5,
+    **dict.fromkeys(AXES, 0.02),
+    "torque_scale": 0.05,
+    "command_delay": 2e-3,
+}
+#: If a larger fraction of joints does not fit, none does.
+_MANY: Final = 0.2
 #: A centre of mass is fitted if its effect is not chance at this probability and its shift is above
 #: this, m. Otherwise a mass explains the same.
 _CHANCE, _SHIFTED = 0.999, 0.004
-#: The same for the lag of torques, s.
-_TOLD_LAG: Final = 2e-3
-#: Least interval of a scale, because the time of a torque within a tick is unknown.
-_FINEST_SCALE: Final = 0.005
+#: What is added to half an interval: to that of a scale, because filters of reported torques are
+#: unknown; of the delay, s, because the cycle of a drive, or the physics step of a simulator, is:
+#: a force counts from the middle of a step of up to 1 ms, or from its beginning.
+_FINEST: Final = {"torque_scale": 0.005, "command_delay": 5e-4}
 _UNITS: Final = {
     "damping": "N·m·s/rad",
     "friction": "N·m",
@@ -75,7 +99,6 @@ _UNITS: Final = {
     "mass": "kg",
     "com": "m",
     "command_delay": "s",
-    "torque_lag": "s",
 }
 #: Least values that a simulation accepts.
 _LEAST: Final = {"damping": 0.0, "friction": 0.0, "armature": 5e-4}
@@ -87,30 +110,41 @@ class FittedValue(Record):
     """An identified parameter.
 
     Attributes:
-        kind: name of its table in a parameters file. torque_lag, the lag of measured torques behind
-            measured positions, is in no file, because it does not affect the robot's movement.
-            com_x, com_y and com_z are the parts of com.
+        kind: name of its table in a parameters file; com_x, com_y and com_z are the parts of com.
         name: name of the joint or the link; empty for the command delay.
-        value, low, high: the value, and the ends of its 95 % interval.
+        value, low, high: the value, and the ends of its 95 % interval; None if it has none.
         default: value without a parameters file.
         told: whether the sessions determine it; others are not written.
+        why: why not: the interval is wide, the value impossible, or the joint moves unlike a joint
+            with these parameters, so that an interval would not hold the true value.
+        differs: whether the value is another one than the default, at 95 % for all values of the
+            fit together (Bonferroni).
     """
 
     kind: str
     name: str
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     default: float
     told: bool
+    why: Untold = ""
+    differs: bool = False
 
     @property
     def written(self) -> bool:
         """Whether a parameters file has it: it is determined, and masses and scales differ."""
-        if self.kind == "torque_lag":
-            return False
-        changes = not self.low <= self.default <= self.high
-        return self.told and (changes or self.kind in ("command_delay", *_LEAST))
+        return self.told and (self.differs or self.kind in ("command_delay", *_LEAST))
+
+    @property
+    def half(self) -> str:
+        """Half the interval as text."""
+        digits = 4 if self.kind in ("armature", *AXES) else 3
+        return "-" if self.high is None else f"{self.high - self.value:.{digits}f}"
+
+    def __str__(self) -> str:
+        digits = 4 if self.kind in ("armature", *AXES) else 3
+        return f"{self.value:.{digits}f}{'*' if self.differs else ''}" if self.told else "?"
 
 
 class Fit(Record):
@@ -125,6 +159,8 @@ class Fit(Record):
         values: all parameters.
         gap_before_rad, gap_after_rad: gap of the held-out session, RMS of all joints without noise,
             with the default parameters and with these.
+        refusal: why these cannot be the parameters of the robot, which are then not written; empty
+            if they can.
     """
 
     sessions: list[str]
@@ -135,6 +171,7 @@ class Fit(Record):
     values: list[FittedValue]
     gap_before_rad: float
     gap_after_rad: float
+    refusal: str = ""
 
     @property
     def reduction(self) -> float:
@@ -149,8 +186,13 @@ class Fit(Record):
         """Write the determined parameters as a file for `--params`.
 
         Raises:
-            RecordingError: the file cannot be written.
+            RecordingError: the file cannot be written, or the parameters are refused.
         """
+        if self.refusal:
+            raise RecordingError(
+                f"These parameters are not written: {self.refusal}.",
+                "Check --support, --robot, and the sessions with `g1stream simulate`.",
+            )
         path = Path(path)
         with complete_file(path, force=force) as temporary:
             temporary.write_text(_toml(self), encoding="utf-8")
@@ -197,30 +239,26 @@ def fit_parameters(
     masses = [("mass", link) for link in links]
     regression = Regression(robot, masses)
     data = list(zip(fitted, held, strict=False))
-    measured = [_measured(one, how) for one, how in data]
     if not any(_has_torque(one) for one in fitted):
         raise RecordingError(
             f"{fitted[0].name} has no torques: tau_est is 0 in every LowState.",
             "Record a robot, or a simulator, that reports the torques of its motors.",
         )
-    aim = regression.estimate(measured)
-    delays = [delay for one in fitted if (delay := torque_delay(one, robot)[0]) is not None]
-    delay = float(np.median(delays)) if delays else 0.0
-    aim_scale, scale_spread = _scales(fitted, delay)
-    values, scale = aim.values, aim_scale
-    rounds, number = _ROUNDS, 0
+    servo = servo_law(fitted, robot)
+    measured = [_measured(one, how, servo.delay) for one, how in data]
+    aim = regression.estimate(measured, _scales(servo))
+    values, rounds, number = aim.values, _ROUNDS, 0
     while number < rounds:
         names = names_of(regression.added)
-        changed = replace(robot, parameters=_parameters(robot, names, values, scale, delay))
-        simulation = _Simulation(data, changed)
+        changed = replace(robot, parameters=_parameters(robot, names, values, servo.delay))
+        simulation = _Simulation(data, changed, servo)
         draws = _DRAWS if number == rounds - 1 else 1
-        found, found_scale = simulation.estimate(regression, delay, draws)
-        values = values + aim.values - found
-        scale = scale + aim_scale - found_scale
-        if number == 0 and (moved := _moved_links(robot, links, measured, simulation, delay)):
+        found = simulation.estimate(regression, draws)
+        values = values + aim.values - found.values
+        if number == 0 and (moved := _moved_links(robot, links, measured, simulation, servo)):
             shifts = [(axis, link) for link in moved for axis in AXES]
             regression = Regression(robot, [*masses, *shifts])
-            aim = regression.estimate(measured)
+            aim = regression.estimate(measured, _scales(servo))
             values = np.insert(values, len(values) - 1, np.zeros(len(shifts)))
             rounds += _MORE_ROUNDS
         number += 1
@@ -228,10 +266,9 @@ def fit_parameters(
     fit = _fit(
         robot,
         aim._replace(values=values),
+        found,
         names_of(regression.added),
-        scale,
-        scale_spread,
-        delay if delays else None,
+        servo,
         fitted,
         held[0],
     )
@@ -239,6 +276,7 @@ def fit_parameters(
     fit.held_out = judged[0].name if hold_out is not None else "the last 20 %"
     fit.gap_before_rad = _gap(judged, support, robot)
     fit.gap_after_rad = _gap(judged, support, replace(robot, parameters=_written(fit)))
+    fit.refusal = _refusal(fit, servo, records, held)
     progress(1.0)
     return fit
 
@@ -267,10 +305,13 @@ def _windows(recorded: Recorded) -> list[slice]:
     return [slice(part.start + 1, part.stop) for part in recorded.windows(_WINDOW)]
 
 
-def _measured(recorded: Recorded, support: Support) -> Movement:
-    windows = _windows(recorded)
-    base = _base(recorded)
-    return Movement(recorded.q, recorded.tau, base, recorded.period, windows, support)
+def _scales(servo: Servo) -> Floats:
+    return np.stack([servo.scale, np.clip(servo.scale_error, 1e-4, 1.0)])
+
+
+def _measured(recorded: Recorded, support: Support, delay: float) -> Movement:
+    windows, base = _windows(recorded), _base(recorded)
+    return Movement(recorded.q, *recorded.servo(delay), base, recorded.period, windows, support)
 
 
 def _base(recorded: Recorded) -> Floats:
@@ -281,33 +322,47 @@ def _base(recorded: Recorded) -> Floats:
 class _Simulation:
     """Simulations of the sessions with some parameters, estimated like the measurements."""
 
-    def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1) -> None:
-        self._data = data
-        self._windows = [_windows(one) for one, _ in data]
+    def __init__(self, data: Sequence[tuple[Recorded, Support]], robot: G1, servo: Servo) -> None:
+        self._data, self._robot, self._servo = data, robot, servo
         self._runs = [
-            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False)
+            simulate_commands(one, robot, support=held, window=_WINDOW, repeats=False, exact=True)
             for one, held in data
         ]
 
-    def estimate(self, regression: Regression, delay: float, draws: int) -> tuple[Floats, Floats]:
-        """The estimate (P,) and the torque scales (29,), means over draws of the sensor noise."""
-        rng = np.random.default_rng(draws)
-        values, scales = [], []
+    def estimate(self, regression: Regression, draws: int) -> Estimate:
+        """The estimate, the mean over draws of the sensor noise."""
+        rng, servo, found = np.random.default_rng(draws), self._servo, []
         for _ in range(draws):
-            movements, noisy = [], []
-            for (one, held), run, windows in zip(
-                self._data, self._runs, self._windows, strict=True
-            ):
-                sensed = (one.q, one.dq, one.tau, _base(one))
-                q, dq, tau, base = (
-                    clean + noise_of(alike) * rng.standard_normal(clean.shape)
-                    for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
-                )
-                movements.append(Movement(q, tau, base, one.period, windows, held))
-                noisy.append(replace(one, q=q, dq=dq, tau=tau))
-            values.append(regression.estimate(movements).values)
-            scales.append(_scales(noisy, delay)[0])
-        return np.mean(values, axis=0), np.mean(scales, axis=0)
+            noisy = [
+                _sensed(one, run, rng) for (one, _), run in zip(self._data, self._runs, strict=True)
+            ]
+            scale = servo_law(noisy, self._robot, servo.delay).scale
+            movements = [
+                _measured(one, held, servo.delay)
+                for one, (_, held) in zip(noisy, self._data, strict=True)
+            ]
+            found.append(regression.estimate(movements, _scales(servo._replace(scale=scale))))
+        return Estimate(*(np.mean(one, axis=0) for one in zip(*found, strict=True)))
+
+
+def _sensed(recorded: Recorded, run: Simulated, rng: np.random.Generator) -> Recorded:
+    """The recording with the states of a simulation, and the noise of its own."""
+    known = ~np.isnan(run.tau[:, :1])
+    sensed = recorded.q, recorded.dq, recorded.tau, _base(recorded)
+    q, dq, tau, base = (
+        np.where(known, clean, alike) + noise_of(alike) * rng.standard_normal(clean.shape)
+        for clean, alike in zip((run.q, run.dq, run.tau, run.base), sensed, strict=True)
+    )
+    quat, gyroscope, accelerometer = base[:, :4], base[:, 4:7], base[:, 7:]
+    return replace(
+        recorded,
+        q=q,
+        dq=dq,
+        tau=tau,
+        quat_wxyz=quat,
+        gyroscope=gyroscope,
+        accelerometer=accelerometer,
+    )
 
 
 def _moved_links(
@@ -315,18 +370,18 @@ def _moved_links(
     links: Sequence[str],
     measured: Sequence[Movement],
     simulation: _Simulation,
-    delay: float,
+    servo: Servo,
 ) -> list[str]:
     """The links with a shifted centre of mass, for which an added mass does not explain all."""
     added = [("mass", link) for link in links]
     regression = Regression(robot, [*added, *((axis, link) for link in links for axis in AXES)])
-    aim = regression.estimate(measured)
-    found, _ = simulation.estimate(regression, delay, 1)
+    aim = regression.estimate(measured, _scales(servo))
+    found = simulation.estimate(regression, 1)
     names, moved = names_of(regression.added), []
     least = 3.0 * float(fisher.ppf(_CHANCE, 3, max(2, aim.blocks - 4)))
     for link in links:
         at = [names.index((axis, link)) for axis in AXES]
-        shift = (aim.values - found)[at]
+        shift = (aim.values - found.values)[at]
         # The simulation has its own noise.
         covariance = 2.0 * aim.covariance[np.ix_(at, at)]
         distance = float(shift @ np.linalg.solve(covariance, shift))
@@ -335,34 +390,15 @@ def _moved_links(
     return moved
 
 
-def _scales(records: Sequence[Recorded], delay: float) -> tuple[Floats, Floats]:
-    """The torque scales (29,) from least squares, and their variances, from blocks of a second."""
-    squares, products = [], []
-    for one in records:
-        asked, known = motor_torque(one, delay)
-        # Some states of a simulation are nan.
-        use = known[:, np.newaxis] & (np.abs(asked) > 0.0) & np.isfinite(one.tau)
-        x, y = np.where(use, asked, 0.0), np.where(use, one.tau, 0.0)
-        for rows in np.array_split(np.arange(len(x)), max(1, round(one.seconds))):
-            squares.append((x[rows] ** 2).sum(axis=0))
-            products.append((x[rows] * y[rows]).sum(axis=0))
-    square, product = np.stack(squares), np.stack(products)
-    total = square.sum(axis=0)
-    told = total > 1e-6
-    scale = np.divide(product.sum(axis=0), total, out=np.ones(N_JOINTS), where=told)
-    scores = product - scale * square
-    variance = np.full(N_JOINTS, 1.0)
-    np.divide((scores**2).sum(axis=0), total**2, out=variance, where=told)
-    return scale, variance
-
-
 def _parameters(
-    robot: G1, names: Sequence[tuple[str, str]], values: Floats, scale: Floats, delay: float
+    robot: G1, names: Sequence[tuple[str, str]], values: Floats, delay: float
 ) -> Parameters:
     """The parameters for a simulation."""
-    damping, friction, armature = (
-        np.maximum(part, _LEAST[kind])
-        for kind, part in zip(_LEAST, values[: 3 * N_JOINTS].reshape(3, N_JOINTS), strict=True)
+    damping, friction, armature, scale = (
+        np.maximum(part, _LEAST.get(kind, 0.2))
+        for kind, part in zip(
+            OF_JOINTS, values[: len(OF_JOINTS) * N_JOINTS].reshape(-1, N_JOINTS), strict=True
+        )
     )
     model, masses = compiled_dynamics(robot, GRAVITY), dict[str, float]()
     centres: dict[str, Floats] = {}
@@ -377,8 +413,8 @@ def _parameters(
         damping=damping,
         friction=friction,
         armature=armature,
-        torque_scale=np.clip(scale, 0.2, 2.0),
-        command_delay=delay,
+        torque_scale=np.minimum(scale, 2.0),
+        command_delay=delay + float(values[-1]),
         mass=masses,
         com=centres,
     )
@@ -387,42 +423,48 @@ def _parameters(
 def _fit(
     robot: G1,
     aim: Estimate,
+    simulated: Estimate,
     names: Sequence[tuple[str, str]],
-    scale: Floats,
-    scale_variance: Floats,
-    delay: float | None,
+    servo: Servo,
     fitted: Sequence[Recorded],
     support: Support,
 ) -> Fit:
     """The values with their intervals."""
-    reach = float(student.ppf(0.975, max(2, aim.blocks - 4))) * np.sqrt(1.0 + 1.0 / _DRAWS)
-    half = reach * np.sqrt(np.diag(aim.covariance))
+    freedom = max(2, aim.blocks - 4)
+    unlike = ((aim.pulled - simulated.pulled) ** 2).sum(axis=0)
+    errors = np.sqrt((np.diag(aim.covariance) + unlike) * (1.0 + 1.0 / _DRAWS))
+    reach, all_reach = student.ppf([0.975, 1.0 - 0.025 / len(names)], freedom)
+    misfit = _misfit(aim, simulated)
     found = []
-    for (kind, name), value, to in zip(names, aim.values.tolist(), half, strict=True):
-        default = 0.0
-        if kind == "torque_lag":
-            found.append(_value(kind, name, value, to, default, to <= _TOLD_LAG))
+    start = np.where([kind == "command_delay" for kind, _ in names], servo.delay, 0.0)
+    for (kind, name), value, error in zip(
+        names, (aim.values + start).tolist(), errors.tolist(), strict=True
+    ):
+        joint = JOINT_NAMES.index(name) if kind in OF_JOINTS else None
+        if joint is not None and not robot.present[joint]:
             continue
-        if kind in AXES:
-            found.append(_value(kind, name, value, to, default, to <= _TOLD_COM))
-            continue
-        if kind != "mass":
-            default = float(getattr(NOMINAL, kind)[JOINT_NAMES.index(name)])
-        told = to <= (_TOLD_MASS if kind == "mass" else _TOLD * max(abs(value), default))
-        if kind == "mass":  # a mass that leaves the link almost none has another cause
+        default = 0.0 if joint is None else float(getattr(NOMINAL, kind)[joint])
+        least, to = _FINEST.get(kind, 0.0), float(reach * error)
+        why: Untold = "wide" if to > _TOLD.get(kind, _OF_VALUE * max(abs(value), default)) else ""
+        if kind in _LEAST and joint is not None and misfit[joint]:
+            why = "unlike"
+        elif kind == "mass":  # a mass that leaves the link almost none has another cause
             own = float(compiled_dynamics(robot, GRAVITY).body(name).mass[0])
-            told = told and value > -_KEPT * own
-        elif value + to < 0.0:  # friction and inertia cannot be negative
-            told = False
-        if kind != "mass" and not robot.present[JOINT_NAMES.index(name)]:
-            continue
-        found.append(_value(kind, name, value, to, default, told))
-    for j in np.flatnonzero(robot.present):
-        to = max(_FINEST_SCALE, reach * float(np.sqrt(scale_variance[j])))
-        told = to <= _TOLD_SCALE
-        found.append(_value("torque_scale", JOINT_NAMES[j], scale[j], to, 1.0, told))
-    period = fitted[0].period
-    found.append(_value("command_delay", "", delay or 0.0, 0.5 * period, 0.0, delay is not None))
+            why = why if value > -_KEPT * own else "impossible"
+        elif kind in _LEAST and value + to < 0.0:  # friction and inertia cannot be negative
+            why = "impossible"
+        one = FittedValue(
+            kind=kind,
+            name=name,
+            value=value,
+            low=None if why == "unlike" else value - to - least,
+            high=None if why == "unlike" else value + to + least,
+            default=default,
+            told=not why,
+            why=why,
+            differs=not why and bool(abs(value - default) > all_reach * error + least),
+        )
+        found.append(one)
     return Fit(
         sessions=[],
         held_out="",
@@ -435,18 +477,41 @@ def _fit(
     )
 
 
-def _value(
-    kind: str, name: str, value: float, half: float, default: float, told: bool
-) -> FittedValue:
-    return FittedValue(
-        kind=kind,
-        name=name,
-        value=value,
-        low=value - half,
-        high=value + half,
-        default=default,
-        told=bool(told),
-    )
+def _misfit(aim: Estimate, simulated: Estimate) -> NDArray[np.bool_]:
+    """(29,) whether the equations' residuals differ from those of a robot with the parameters.
+
+    It is the F test of two variances, so that of the joints it finds 5 % do fit (Y. Benjamini and
+    Y. Hochberg 1995). With play between rotor and link, for example, the equations do not hold at
+    each reversal of the torque. If many joints do not fit, the others only pass the test by chance.
+    """
+    n, ratio = np.maximum(2.0, aim.independent), aim.residual / simulated.residual
+    tails = [one(ratio, n, _DRAWS * n) for one in (fisher.sf, fisher.cdf)]
+    chance = 2.0 * np.minimum(*tails)
+    ranked = np.sort(chance)
+    found = ranked[ranked <= 0.05 * np.arange(1, N_JOINTS + 1) / N_JOINTS]
+    misfit: NDArray[np.bool_] = chance <= found.max(initial=0.0)
+    return np.ones_like(misfit) if misfit.mean() > _MANY else misfit
+
+
+def _refusal(fit: Fit, servo: Servo, records: Sequence[Recorded], held: Sequence[Support]) -> str:
+    """Why the parameters cannot be those of the robot; empty if they can."""
+    if any(reasons := [doubt(one, how) for one, how in zip(records, held, strict=True)]):
+        return next(filter(None, reasons))
+    if fit.gap_after_rad > FAR:
+        return f"the gap is {1e3 * fit.gap_after_rad:.0f} mrad; {FAR_OFF}"
+    delay = fit.find("command_delay")
+    if delay.told and delay.high is not None:
+        half = delay.high - delay.value
+        if delay.high < 0.0:
+            return f"commands would act {-1e3 * delay.value:.1f} ms before they were published"
+        if abs(delay.value - servo.delay) > half + records[0].period:
+            return (
+                f"commands act after {1e3 * delay.value:.1f} ms according to the motion, but after "
+                f"{1e3 * servo.delay:.1f} ms according to the reported torques"
+            )
+    if fit.reduction <= 0.0:
+        return f"the gap of {fit.held_out} does not shrink with these parameters"
+    return ""
 
 
 def _written(fit: Fit) -> Parameters:
@@ -499,18 +564,28 @@ def _toml(fit: Fit) -> str:
         if kind == "com" and (centres := _written(fit).com):
             lines += ["", "[com]"]
             lines += [f"{link} = {np.round(at, 4).tolist()}" for link, at in centres.items()]
-        untold = [one.name for one in fit.values if one.kind == kind and not one.told]
+        untold = [
+            (one.name, _WHY[one.why]) for one in fit.values if one.kind == kind and not one.told
+        ]
         if told or untold:
             lines += ["", f"[{kind}]"]
         for one in told:
             value = max(one.value, _LEAST.get(kind, one.value))
             lines.append(f"{one.name} = {value:.5f}  {_interval(one, unit)}")
-        lines += [f"# {name}: not determined by the sessions" for name in untold]
+        lines += [f"# {name}: not determined, {why}" for name, why in untold]
     return "\n".join(lines) + "\n"
 
 
+_WHY: Final = {
+    "wide": "the interval is too wide",
+    "impossible": "the value is impossible",
+    "unlike": "the joint moves unlike one with such parameters, for example with play; no interval",
+}
+
+
 def _interval(one: FittedValue, unit: str) -> str:
-    return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip()
+    differs = "" if one.differs else ", may be the default"
+    return f"# {one.low:.4g} to {one.high:.4g} {unit}".rstrip() + differs
 
 
 def _render(fit: Fit) -> str:
@@ -519,35 +594,21 @@ def _render(fit: Fit) -> str:
     rows: list[Sequence[str]] = [heads]
     kinds: tuple[Kind, ...] = ("damping", "friction", "armature", "torque_scale")
     of_joints = {one.name for one in fit.values if one.kind == "friction"}
-    untold = []
     for name in (name for name in JOINT_NAMES if name in of_joints):
         cells = [name.removesuffix("_joint")]
         for kind in kinds:
-            one = fit.find(kind, name)
-            digits = 4 if kind == "armature" else 3
-            cells += [f"{one.value:.{digits}f}", f"{one.value - one.low:.{digits}f}"]
-            if not one.told:
-                cells[-2:] = ["?", f"{one.value - one.low:.{digits}f}"]
-                untold.append(one)
+            cells += [str(fit.find(kind, name)), fit.find(kind, name).half]
         rows.append(cells)
-    masses = [one for one in fit.values if one.kind == "mass"]
     added = [("link", "kg added", "+-")]
-    added += [
-        (
-            one.name.removesuffix("_link"),
-            f"{one.value:+.3f}" if one.told else "?",
-            f"{one.value - one.low:.3f}",
-        )
-        for one in masses
-    ]
     for one in fit.values:
-        if one.kind in AXES:
-            what = f"{one.name.removesuffix('_link')} {one.kind.replace('_', ' ')}, m"
-            shift = f"{one.value:+.4f}" if one.told else "?"
-            added.append((what, shift, f"{one.value - one.low:.4f}"))
+        if one.kind in ("mass", *AXES):
+            shift = f" {one.kind.replace('_', ' ')}, m" if one.kind in AXES else ""
+            added.append((f"{one.name.removesuffix('_link')}{shift}", str(one), one.half))
     delay = fit.find("command_delay")
-    told = f"{1e3 * delay.value:.1f} ms, +- {1e3 * (delay.value - delay.low):.1f}"
-    lag = fit.find("torque_lag")
+    told = f"{1e3 * delay.value:.2f} ms{'*' if delay.differs else ''}"
+    told += f", +- {1e3 * ((delay.high or 0.0) - delay.value):.2f}"
+    reasons = {one.why: _WHY[one.why] for one in fit.values if one.why}
+    differ = sum(one.differs for one in fit.values)
     less = f"{100 * fit.reduction:.0f} % less" if fit.reduction > 0.0 else "not less"
     return "\n".join(
         [
@@ -558,9 +619,9 @@ def _render(fit: Fit) -> str:
             f"delay   {told if delay.told else 'not determined by the sessions'}",
             f"gap     {1e3 * fit.gap_before_rad:.2f} mrad before, {1e3 * fit.gap_after_rad:.2f} "
             f"after, {less}, of {fit.held_out}",
-            f"lag     of measured torques: {1e3 * lag.value:.2f} ms, +- "
-            f"{1e3 * (lag.value - lag.low):.2f}",
-            *(["?       the sessions do not determine this value"] if untold else []),
+            labelled("*       ", f"differs from the default: {differ} of {len(fit.values)} values"),
+            *(labelled("?       ", f"not determined: {why}") for why in reasons.values()),
+            *([labelled("refused ", f"{fit.refusal}; no file is written")] if fit.refusal else []),
             "units   damping N·m·s/rad, friction N·m, armature kg·m²; +-: half the 95 % interval",
             "",
             *table(rows, left=(0,)),

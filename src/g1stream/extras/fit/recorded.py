@@ -214,18 +214,74 @@ class Recorded:
         starts = np.flatnonzero(self.begins).tolist()
         return [slice(a, b) for a, b in pairwise([*starts, len(self.time)])]
 
-    def in_force(self, delay: float) -> Ints:
+    @cached_property
+    def acts(self) -> Floats:
+        """(M,) publish times of the commands on the clock of `time`, s."""
+        first = self.published[0]
+        times = np.interp(self.command_times - first, self.published - first, self.time)
+        before = np.minimum(self.command_times - first, 0) / 1e9
+        after = np.maximum(self.command_times - self.published[-1], 0) / 1e9
+        found: Floats = times + before + after
+        return found
+
+    def total(self, delay: float, times: Floats) -> Floats:
+        """(T, 3, 29) integrals up to times (T,) of tau + kp q + kd dq, kp and kd of the commands.
+
+        A command acts from `delay` s after its publish time until the next one does. Motors that
+        are not enabled, and all before the first command, have 0.
+        """
+        values, integral = self._integral
+        number = np.searchsorted(self.acts, times - delay, side="right") - 1
+        held = number.clip(0)
+        since = np.maximum(times - delay - self.acts[held], 0.0)[:, np.newaxis, np.newaxis]
+        found: Floats = integral[held] + values[held] * since
+        return found
+
+    @cached_property
+    def _integral(self) -> tuple[Floats, Floats]:
+        """The commands of `total`, and their integrals up to each of them."""
+        q, dq, tau, kp, kd = self.commands.transpose(1, 0, 2)
+        values = np.stack([tau + kp * q + kd * dq, kp, kd], axis=1)
+        values = values * self.enabled[:, np.newaxis]
+        steps = values[:-1] * np.diff(self.acts)[:, np.newaxis, np.newaxis]
+        return values, np.concatenate([np.zeros_like(values[:1]), np.cumsum(steps, axis=0)])
+
+    def servo(self, delay: float) -> tuple[Floats, Floats]:
+        """(N, 29) N·m that the servo law gives at each LowState, and the part of the commands.
+
+        The torque is tau + kp (q - measured q) + kd (dq - measured dq), and the commands' part
+        tau + kp q + kd dq, where commands are means over the period around the LowState. They do
+        not depend on the torques that the robot reports.
+        """
+        half = 0.5 * self.period
+        mean = self.total(delay, self.time + half) - self.total(delay, self.time - half)
+        feed, kp, kd = (mean / self.period).transpose(1, 0, 2)
+        return feed - kp * self.q - kd * self.dq, feed
+
+    def wait(self, early: float) -> float:
+        """Mean time from the publish times of commands, s, until the embedded simulator uses them.
+
+        Commands count as received `early` s earlier.
+        """
+        commands = self.command_times - round(early * 1e9)
+        state = np.searchsorted(self.published, commands).clip(0, len(self.published) - 1)
+        waits = (self.published[state] - self.command_times) / 1e9
+        return float(np.mean(waits[np.abs(waits) <= 2.0 * self.period]))
+
+    def in_force(self, delay: float, early: float = 0.0) -> Ints:
         """(N,) index of the command in force from each LowState to the next one; -1 for none.
 
         As in the embedded simulator, a command that was published before a LowState is received
-        with it, and used `delay` s later, rounded to a LowState. States in a gap count as if they
-        had been recorded.
+        with it, and used `delay` s after its publish time, which is half a period before its
+        reception on average, rounded to a LowState. States in a gap count as if they had been
+        recorded. Commands count as published `early` s earlier.
         """
-        received = np.searchsorted(self.published, self.command_times)  # LowState of the reception
+        commands = self.command_times - round(early * 1e9)
+        received = np.searchsorted(self.published, commands)  # LowState of the reception
         state = received.clip(0, len(self.time) - 1)
-        waited = (self.published[state] - self.command_times) / np.median(np.diff(self.published))
+        waited = (self.published[state] - commands) / np.median(np.diff(self.published))
         unseen = np.where(self.begins[state], np.floor(waited), 0.0)
-        delayed = int(np.ceil(delay / self.period - 0.5))
+        delayed = int(delay / self.period + 1e-6)
         obeyed = received + np.maximum(0, delayed - unseen).astype(int)
         newest: Ints = np.searchsorted(obeyed, np.arange(len(self.time)), side="right") - 1
         return newest

@@ -4,11 +4,12 @@ A joint's torque is linear in its viscous friction, dry friction and armature, a
 are added to links (W. Khalil and E. Dombre, "Modeling, Identification and Control of Robots",
 2002, chapter 12):
 
-    tau = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq + sum(mass_l RNE_l)
-          - lag dtau/dt
+    scale (tau - delay dfeed/dt) = RNE(q, dq, ddq) + damping dq + friction sign(dq) + armature ddq
+          + sum(mass_l RNE_l)
 
-The lag is that of the measured torques behind the measured positions, the same for all joints.
-Without this term it would appear as friction. Velocities and accelerations are derivatives of
+tau is the torque of the servo law, and feed the commands' part of it, see `Recorded.servo`. The
+delay is a correction of the one with which they were computed, the same for all joints. Without
+this term it would appear as friction. Velocities and accelerations are derivatives of
 positions after a zero-phase low-pass, and both sides of the equation have the same low-pass. The
 bias from noise, sampling and low-pass is not corrected here: `identify` does this by simulation.
 """
@@ -29,7 +30,7 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats, Support
 
-__all__ = ["AXES", "LINKS", "Estimate", "Movement", "Regression", "names_of"]
+__all__ = ["AXES", "LINKS", "OF_JOINTS", "Estimate", "Movement", "Regression", "names_of"]
 
 LINKS: Final = (
     "torso_link",
@@ -41,6 +42,9 @@ LINKS: Final = (
 )
 """The links to which masses are added, because people mount things on them: trunk, thighs, shanks,
 feet, upper arms, forearms and hands."""
+
+OF_JOINTS: Final = ("damping", "friction", "armature", "torque_scale")
+"""The parameters of a joint."""
 
 AXES: Final = ("com_x", "com_y", "com_z")
 """The parameters of a centre of mass: its shift, m, in the link's frame."""
@@ -58,8 +62,8 @@ _STOP: Final = 0.03
 #: Length of a block of equations, s. Errors of different blocks count as independent.
 _BLOCK: Final = 1.0
 #: Prior standard deviations of the parameters, as multiples of the default; of added masses, kg,
-#: shifts, m, and the lag, s. They only matter if a session has no information.
-_PRIOR, _PRIOR_MASS, _PRIOR_COM, _PRIOR_LAG = 5.0, 3.0, 0.05, 0.02
+#: shifts, m, and the delay, s. They only matter if a session has no information.
+_PRIOR, _PRIOR_MASS, _PRIOR_COM, _PRIOR_DELAY = 5.0, 3.0, 0.05, 0.02
 #: Shift of a centre of mass for its equations, m.
 _SHIFT: Final = 0.01
 _BASE: Final = 6
@@ -70,7 +74,8 @@ class Movement(NamedTuple):
 
     Attributes:
         q: (N, 29) rad.
-        tau: (N, 29) N·m that the motors applied.
+        tau: (N, 29) N·m of the servo law.
+        feed: (N, 29) N·m, the commands' part of it.
         base: (N, 10) of the pelvis's IMU: quaternion wxyz, gyroscope, accelerometer.
         period: sampling period, s.
         windows: parts without a gap.
@@ -79,6 +84,7 @@ class Movement(NamedTuple):
 
     q: Floats
     tau: Floats
+    feed: Floats
     base: Floats
     period: float
     windows: Sequence[slice]
@@ -92,17 +98,24 @@ class Estimate(NamedTuple):
         values: (P,) parameters in the order of `names_of`.
         covariance: (P, P) from blocks of equations, for any distribution of their errors.
         blocks: number of blocks.
+        residual: (29,) mean square of the equations' residuals, (N·m)².
+        independent: (29,) number of equations that are independent under the low-pass.
+        pulled: (29, P) change of the values by what a joint alone would change in those that joints
+            share; their sum is 0 but for the priors.
     """
 
     values: Floats
     covariance: Floats
     blocks: int
+    residual: Floats
+    independent: Floats
+    pulled: Floats
 
 
 def names_of(added: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """All parameters as pairs of kind and joint or link."""
-    motors = [(kind, name) for kind in ("damping", "friction", "armature") for name in JOINT_NAMES]
-    return [*motors, *added, ("torque_lag", "")]
+    motors = [(kind, name) for kind in OF_JOINTS for name in JOINT_NAMES]
+    return [*motors, *added, ("command_delay", "")]
 
 
 class Regression:
@@ -143,8 +156,12 @@ class Regression:
         imu = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0
         self._imu_pos = robot.origin_pos[imu] if robot.parent[imu] == 0 else np.zeros(3)
 
-    def estimate(self, movements: Sequence[Movement]) -> Estimate:
+    def estimate(self, movements: Sequence[Movement], scale: Floats) -> Estimate:
         """The parameters that best fit the equations of some movements.
+
+        Args:
+            movements: the movements.
+            scale: (2, 29) the torque scales of the reported torques, and their standard deviations.
 
         Equations of a joint are weighted by the variance of their residuals. The covariance is that
         of blocks of a second (H. White 1980, by clusters).
@@ -152,34 +169,39 @@ class Regression:
         blocks = [block for one in movements for block in self._blocks(one)]
         products = np.stack([block.products for block in blocks])
         of_joint, rows = products.sum(axis=0), np.sum([block.rows for block in blocks], axis=0)
-        shared = slice(3 * N_JOINTS, 3 * N_JOINTS + len(self.added) + 1)
-        own = np.arange(3 * N_JOINTS).reshape(3, N_JOINTS).T
+        n = len(OF_JOINTS)
+        shared = slice(n * N_JOINTS, n * N_JOINTS + len(self.added) + 1)
+        own = np.arange(n * N_JOINTS).reshape(n, N_JOINTS).T
         of_links = (_PRIOR_MASS if kind == "mass" else _PRIOR_COM for kind, _ in self.added)
-        prior = np.concatenate([DAMPING, FRICTION, ARMATURE, np.zeros(len(self.added) + 1)])
-        loose = np.concatenate([_PRIOR * prior[: shared.start], [*of_links, _PRIOR_LAG]])
+        usual = np.concatenate([DAMPING, FRICTION, ARMATURE])
+        prior = np.concatenate([usual, scale[0], np.zeros(len(self.added) + 1)])
+        loose = np.concatenate([_PRIOR * usual, scale[1], [*of_links, _PRIOR_DELAY]])
         regular = np.diag(1.0 / loose**2)
         normals = np.zeros((len(blocks), shared.stop, shared.stop))
         right = np.zeros((len(blocks), shared.stop))
         variance, values = np.ones(N_JOINTS), prior
         for _ in range(3):
             weighted = products / variance[:, np.newaxis, np.newaxis]
-            normals[:, own[:, :, np.newaxis], own[:, np.newaxis]] = weighted[:, :, :3, :3]
-            normals[:, own, shared] = weighted[:, :, :3, 3:-1]
-            normals[:, shared, own] = weighted[:, :, 3:-1, :3].transpose(0, 2, 1, 3)
-            normals[:, shared, shared] = weighted[:, :, 3:-1, 3:-1].sum(axis=1)
-            right[:, own] = weighted[:, :, :3, -1]
-            right[:, shared] = weighted[:, :, 3:-1, -1].sum(axis=1)
+            normals[:, own[:, :, np.newaxis], own[:, np.newaxis]] = weighted[:, :, :n, :n]
+            normals[:, own, shared] = weighted[:, :, :n, n:-1]
+            normals[:, shared, own] = weighted[:, :, n:-1, :n].transpose(0, 2, 1, 3)
+            normals[:, shared, shared] = weighted[:, :, n:-1, n:-1].sum(axis=1)
+            right[:, own] = weighted[:, :, :n, -1]
+            right[:, shared] = weighted[:, :, n:-1, -1].sum(axis=1)
             total = normals.sum(axis=0) + regular
             values = np.linalg.solve(total, right.sum(axis=0) + regular @ prior)
             residual = np.full((N_JOINTS, 1, products.shape[-1]), -1.0)
-            residual[:, 0, :3], residual[:, 0, 3:-1] = values[own], values[shared]
+            residual[:, 0, :n], residual[:, 0, n:-1] = values[own], values[shared]
             squares = (residual @ of_joint @ residual.transpose(0, 2, 1))[:, 0, 0]
             variance = np.maximum(squares / np.maximum(1, rows), 1e-6)
         scores = right - normals @ values
         inverse = np.linalg.inv(total)
         few = len(blocks) / max(1, len(blocks) - 4)
         spread = few * scores.T @ scores + regular
-        return Estimate(values, inverse @ spread @ inverse, len(blocks))
+        pulls = (of_joint[:, n:-1] @ residual.transpose(0, 2, 1))[:, :, 0] / variance[:, np.newaxis]
+        pulled = pulls @ -inverse[shared]
+        covariance, independent = inverse @ spread @ inverse, rows * (2.0 * _CUTOFF / _ROWS)
+        return Estimate(values, covariance, len(blocks), variance, independent, pulled)
 
     def _blocks(self, movement: Movement) -> list[_Block]:
         """The equations of a movement, block by block."""
@@ -197,6 +219,7 @@ class Regression:
             # Both sides have the same low-pass. Positions are smooth enough without it.
             dry = smoothed(np.tanh(dq / (0.5 * _STILL)), rate, _CUTOFF)
             tau = smoothed(movement.tau[part], rate, _CUTOFF)
+            feed = smoothed(movement.feed[part], rate, _CUTOFF)
             base = smoothed(movement.base[part], rate, _CUTOFF)
             turning = np.gradient(base[:, 4:7], movement.period, axis=0)
             kept = np.arange(margin, len(q) - margin, step)
@@ -205,9 +228,9 @@ class Regression:
             )
             free = (q[kept] > self._lower + _STOP) & (q[kept] < self._upper - _STOP)
             used = told & free & (np.abs(dq[kept]) > _STILL)
-            rising = np.gradient(tau, movement.period, axis=0)[kept]
-            own = dq[kept], dry[kept], ddq[kept]
-            columns = np.stack([*own, *masses, -rising, tau[kept] - torque])
+            rising = np.gradient(feed, movement.period, axis=0)[kept]
+            own = dq[kept], dry[kept], ddq[kept], -tau[kept]
+            columns = np.stack([*own, *masses, rising, -torque])
             columns = np.where(used, columns, 0.0).transpose(2, 0, 1)
             n = max(1, round(len(kept) * step * movement.period / _BLOCK))
             for rows in np.array_split(np.arange(len(kept)), n):
@@ -264,7 +287,7 @@ class _Block(NamedTuple):
     """The equations of each joint within a second: y = own columns and shared columns x parameters.
 
     Attributes:
-        products: (29, 3 + L + 1, 3 + L + 1) products of the columns own, shared and y with each
+        products: (29, 4 + L + 2, 4 + L + 2) products of the columns own, shared and y with each
             other, summed over the equations.
         rows: (29,) number of equations.
     """

@@ -7,9 +7,9 @@ by simple regressions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from g1stream.analysis.signals import SIMULATED
 from g1stream.app.session import Session, open_session
 from g1stream.extras.fit.recorded import Recorded, noise_of, smoothed
-from g1stream.extras.fit.simulation import Simulated, simulate_commands, world_support
+from g1stream.extras.fit.simulation import (
+    JITTER,
+    Simulated,
+    doubt,
+    simulate_commands,
+    world_support,
+)
 from g1stream.robot.dynamics import GRAVITY, STICTION_SPEED, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
@@ -27,15 +33,26 @@ from g1stream.text import labelled, table
 from g1stream.types import Floats
 from g1stream.view.encoders import JointStatesTemplate
 
-__all__ = ["Cause", "Gap", "JointGap", "excess", "gap", "motor_torque", "robot_of", "torque_delay"]
+__all__ = [
+    "FAR",
+    "FAR_OFF",
+    "Cause",
+    "Gap",
+    "JointGap",
+    "Servo",
+    "excess",
+    "gap",
+    "robot_of",
+    "servo_law",
+]
 
 _FIELDS: Final = ("position", "velocity", "effort")
 #: A joint differs if the RMS position difference without noise is above this, rad, and above twice
 #: its noise.
 _DIFFERS: Final = 5e-4
 #: A larger gap, rad, has another cause than parameters, and a delay below this, s, is none.
-_FAR: Final = 0.05
-_FAR_OFF: Final = "so much is mostly due to another support (--support) or robot (--robot)"
+FAR: Final = 0.05
+FAR_OFF: Final = "so much is mostly due to another support (--support) or robot (--robot)"
 _ON_TIME: Final = 1e-3
 #: A cause is reported above this fraction of the difference and number of standard errors.
 _SHARE: Final = 0.1
@@ -46,8 +63,13 @@ _CUTOFF: Final = 15.0
 _EVERY: Final = 5
 #: Slower joints (RMS) show neither viscous friction nor inertia, rad/s.
 _MOVES: Final = 0.1
-#: Delays of commands that are tried, s.
-_LONGEST_DELAY: Final = 0.03
+#: The delay is known with a smaller standard error, s. Longest cycle of a drive or physics step, s.
+_KNOWN, _STEP = 5e-4, 1e-3
+#: Largest change of the delay, s, in one of so many linearisations.
+_LONGEST, _LINEARISED = 0.03, 4
+#: Windows of the servo law, s; the low-pass has not settled at their ends, s. A joint's least mean
+#: square of torques in a second, times the samples, (N·m)².
+_SECONDS, _MARGIN, _MOVED = 10.0, 0.1, 1e-2
 #: Fraction of its limit at which a motor is saturated.
 _SATURATED: Final = 0.99
 
@@ -109,8 +131,11 @@ class Gap(Record):
         support: how the simulated base was held.
         window_s: length of a window.
         simulated_s: length of all windows.
-        delay_s: delay of the torques relative to the commands that the simulator would use; None
-            if unknown.
+        delay_s: time by which the robot uses commands later than the simulator; None if unknown.
+        delay_low_s, delay_high_s: its limits, because a command close to a LowState belongs to
+            either, and whether LowState has the torque of an instant or of a period, and from
+            which moment of its cycle a drive's torque counts, is unknown.
+        doubt: why the robot cannot have been held so; empty if it can.
         q_rad: RMS position difference of all joints, without noise.
         joints: by name, the largest difference first.
     """
@@ -122,6 +147,9 @@ class Gap(Record):
     window_s: float
     simulated_s: float
     delay_s: float | None = None
+    delay_low_s: float | None = None
+    delay_high_s: float | None = None
+    doubt: str = ""
     q_rad: float
     joints: dict[str, JointGap]
 
@@ -205,9 +233,13 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
     rest = squares.sum(axis=0) - (by_window.max(axis=0) if len(by_window) > 1 else 0.0)
     usual = excess(np.sqrt(rest / known.sum()), noise["q"])
     differs = (usual > np.maximum(_DIFFERS, 2.0 * noise["q"])) & robot.present
-    delay, _ = torque_delay(recorded, robot)
-    own = None if delay is None else delay - robot.parameters.command_delay
-    causes = _causes(recorded, robot, differences, known, differs, own)
+    servo, period = servo_law([recorded], robot), recorded.period
+    ticks = int(robot.parameters.command_delay / period + 1e-6)
+    delays: list[float | None] = [None] * 3
+    if servo.delay_error < _KNOWN:
+        own, unsure = servo.delay - ticks * period, 0.5 * (period + _STEP)
+        delays = [own + n * unsure - recorded.wait(n * JITTER) for n in (0, -1, 1)]
+    causes = _causes(recorded, robot, differences, known, differs, servo.delay)
     present = np.flatnonzero(robot.present)
     joints = {
         JOINT_NAMES[j]: JointGap(
@@ -232,51 +264,84 @@ def compare(recorded: Recorded, simulated: Simulated, robot: G1, window: float) 
         support=simulated.support,
         window_s=window,
         simulated_s=float(sum(lengths)),
-        delay_s=own,
+        delay_s=delays[0],
+        delay_low_s=delays[1],
+        delay_high_s=delays[2],
+        doubt=doubt(recorded, simulated.support),
         q_rad=float(np.sqrt(np.mean(left[present] ** 2))),
         joints=joints,
     )
 
 
-def motor_torque(recorded: Recorded, delay: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The torques (N, 29), N·m, that commands ask for at each LowState, and (N,) whether known.
+class Servo(NamedTuple):
+    """How the reported torques follow from commands and states.
 
-    The command is the one in force up to the LowState, see `Recorded.in_force`. Position and
-    velocity are the means of this LowState and the one before, so the first one is unknown.
+    Attributes:
+        delay, delay_error: time from the publish time of a command until it acts, and its standard
+            error, s.
+        scale, scale_error: (29,) torque over that of the servo law, and standard errors; 1 and
+            infinite without torque.
     """
-    number = np.concatenate([[-1], recorded.in_force(delay)[:-1]])
-    known = (number >= 0) & ~recorded.begins
-    q, dq, tau, kp, kd = recorded.commands[number.clip(0)].transpose(1, 0, 2)
-    at_q, at_dq = (0.5 * (one + np.roll(one, 1, axis=0)) for one in (recorded.q, recorded.dq))
-    torque = tau + kp * (q - at_q) + kd * (dq - at_dq)
-    torque[~recorded.enabled[number.clip(0)]] = 0.0
-    return torque, known
+
+    delay: float
+    delay_error: float
+    scale: Floats
+    scale_error: Floats
 
 
-def torque_delay(recorded: Recorded, robot: G1) -> tuple[float | None, Floats]:
-    """The command delay, s, that best explains the measured torques, and torque scales (29,).
+def servo_law(records: Sequence[Recorded], robot: G1, delay: float = 0.0) -> Servo:
+    """Least squares of the reported torques on those of the servo law.
 
-    The delay is a multiple of the robot's tick, as in the embedded simulator. It is None if no
-    torques are reported, or if commands hardly change. Scales are from least squares, 1 without
-    torque.
+        tau_est = scale (tau - lag dtau/dt - delay dfeed/dt)
+
+    of low-passed signals, see `Recorded.servo`, joint by joint. Whether a robot reports the torque
+    of an instant or the mean of a period, and after which filter, is a lag. The delay is the mean
+    of all joints by their precision. Errors are those of blocks of a second (H. White 1980).
+
+    Args:
+        records: sessions of a robot.
+        robot: robot with the torque limits; a saturated motor does not follow the law.
+        delay: initial value of the delay, s.
     """
-    best, scales, cost = None, np.ones(N_JOINTS), np.inf
-    limits = robot.torque_limit
-    costs = []
-    for n in range(round(_LONGEST_DELAY / recorded.period) + 1):
-        asked, known = motor_torque(recorded, n * recorded.period)
-        # Clipped torques, and sensor noise times a gain, do not show the delay.
-        use = known[:, np.newaxis] & (np.abs(asked) < _SATURATED * limits)
-        x, y = np.where(use, asked, 0.0), np.where(use, recorded.tau, 0.0)
-        square = (x * x).sum(axis=0)
-        product = (x * y).sum(axis=0)
-        found = np.divide(product, square, out=np.ones(N_JOINTS), where=square > 1e-6 * len(x))
-        left = ((y - found * x) ** 2).sum(axis=0) / np.maximum(1, use.sum(axis=0))
-        costs.append(left.sum())
-        if costs[-1] < cost:
-            best, scales, cost = n * recorded.period, found, costs[-1]
-    told = recorded.tau.any() and max(costs) > 1.02 * cost
-    return (best if told else None), scales
+    scale, error, delay_error = np.ones(N_JOINTS), np.full(N_JOINTS, np.inf), np.inf
+    for _ in range(_LINEARISED):
+        products = np.stack([block for one in records for block in _blocks(one, robot, delay)])
+        total = products.sum(axis=0)
+        told = (total[:, 0, 0] > _MOVED * len(products)) & (total[:, 3, 3] > 0.0) & robot.present
+        if not told.any():
+            break
+        normal = total[told, :3, :3]
+        normal = normal + 1e-9 * normal[:, :1, :1] * np.eye(3)
+        found = np.linalg.solve(normal, total[told, :3, 3:])
+        scores = products[:, told, :3, 3:] - products[:, told, :3, :3] @ found
+        inverse = np.linalg.inv(normal)
+        few = len(products) / max(1, len(products) - 3)
+        spread = few * (scores @ scores.transpose(0, 1, 3, 2)).sum(axis=0)
+        variance = np.diagonal(inverse @ spread @ inverse, axis1=1, axis2=2)
+        scale[told], error[told] = found[:, 0, 0], np.sqrt(variance[:, 0])
+        late, weight = found[:, 1, 0] / found[:, 0, 0], 1.0 / np.maximum(variance[:, 1], 1e-12)
+        delay += float(np.clip((weight * late).sum() / weight.sum(), -_LONGEST, _LONGEST))
+        delay_error = float(1.0 / np.sqrt(weight.sum()))
+    return Servo(delay, delay_error, scale, error)
+
+
+def _blocks(recorded: Recorded, robot: G1, delay: float) -> Iterator[Floats]:
+    """(29, 4, 4) products of the columns of `servo_law`, and the torque, in each second."""
+    torque, feed = recorded.servo(delay)
+    rate, limit = 1.0 / recorded.period, _SATURATED * robot.torque_limit
+    margin, n = round(_MARGIN * rate), max(1, round(rate))
+    for part in recorded.windows(_SECONDS):
+        tau, fed, reported = (
+            smoothed(one[part], rate, _CUTOFF) for one in (torque, feed, recorded.tau)
+        )
+        if len(tau) < 4 * margin or not np.isfinite(reported).all():
+            continue
+        lag, late = (-np.gradient(one, recorded.period, axis=0) for one in (tau, fed))
+        columns = np.stack([tau, late, lag, reported], axis=-1)
+        columns[np.abs(torque[part]) > limit] = 0.0
+        for start in range(margin, len(tau) - margin, n):
+            some = columns[start : min(start + n, len(tau) - margin) : _EVERY].transpose(1, 2, 0)
+            yield some @ some.transpose(0, 2, 1)
 
 
 def _causes(
@@ -295,9 +360,8 @@ def _causes(
     ddq = np.gradient(dq, recorded.period, axis=0)[rows]
     dq, tau = dq[rows], recorded.tau[rows]
     weight = _gravity_torque(recorded, robot, q, rows) if differs.any() else tau
-    asked, there = motor_torque(recorded, delay or 0.0)
-    limit = robot.torque_limit
-    saturated = (np.abs(asked[there]) >= limit).mean(axis=0)
+    asked, _ = recorded.servo(delay or 0.0)
+    saturated = (np.abs(asked) >= robot.torque_limit).mean(axis=0)
     found: dict[int, list[Cause]] = {}
     for j in np.flatnonzero(differs).tolist():
         columns = {
@@ -401,11 +465,15 @@ def _render(found: Gap) -> str:
         rows.append((name.removesuffix("_joint"), *cells))
     lines = table(rows, left=(0,)) if shown else []
     delay, notes = found.delay_s or 0.0, list[str]()
-    if abs(delay) > _ON_TIME:
-        when = f"{1e3 * abs(delay):.0f} ms {'later' if delay > 0.0 else 'earlier'}"
+    low, high = found.delay_low_s or 0.0, found.delay_high_s or 0.0
+    if abs(delay) > _ON_TIME and low * high > 0.0:
+        when = f"{1e3 * abs(delay):.1f} ms {'later' if delay > 0.0 else 'earlier'}"
+        when += f" ({1e3 * min(abs(low), abs(high)):.1f} to {1e3 * max(abs(low), abs(high)):.1f})"
         notes.append(f"  delay  commands act {when} than in the simulator, at all joints")
-    if found.q_rad > _FAR:
-        notes.append(labelled("         ", _FAR_OFF))
+    if found.doubt:
+        notes.append(labelled("         ", found.doubt))
+    elif found.q_rad > FAR:
+        notes.append(labelled("         ", FAR_OFF))
     meaning = (
         "+: the robot has more than the simulator. In brackets the share of the difference that "
         "this explains. These are hints; `g1stream fit` measures."

@@ -1,8 +1,9 @@
 """A policy's contract: its inputs and outputs, and the source of each fact.
 
-A fact comes from the first of these sources that has it: a TOML file beside the policy, the
-metadata of the ONNX file (whole_body_tracking and mjlab; holosoma), Unitree's deploy.yaml beside
-it. If none has it, an error shows the line to write to the TOML file; docs/policy.md lists them.
+A fact comes from the first of these sources that has it: a TOML file beside the policy, the table
+of published policies, the metadata of the ONNX file (whole_body_tracking and mjlab; holosoma),
+Unitree's deploy.yaml beside it. If none has it, an error shows the line to write to the TOML file;
+docs/policy.md lists them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import ALIASES, TERMS
+from g1stream.extras.policy.published import facts_of
 from g1stream.files import read_file
 from g1stream.input_limits import SETTINGS_FILE, check_integers
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -232,7 +234,6 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     if not 1.0 <= rate <= 1000.0:
         raise _wrong("rate", rate, where, "between 1 and 1000 Hz")
     tracks = any(term.name.startswith("motion_") for term in terms)
-    holds = network.steps and {"joint_pos", "joint_vel"} <= set(network.outputs)
     if uses_anchor and values["anchor"] not in robot.link_names:
         raise _wrong("anchor", values["anchor"], where, "a link of the robot, such as torso_link")
     clip, lag = (_number(values.get(name, 0), name, where) for name in ("clip", "lag"))
@@ -248,7 +249,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         terms=terms,
         clip=clip or None,
         anchor=str(values["anchor"]) if uses_anchor else None,
-        reference=("in the policy" if holds else "a motion") if tracks else "none",
+        reference=("in the policy" if network.holds_motion else "a motion") if tracks else "none",
         lag=int(lag) if tracks else 0,
         history_start=history_start,
         origin={name: one for name, one in origin.items() if name != "anchor" or uses_anchor},
@@ -265,6 +266,9 @@ def _sources(network: Network) -> Iterator[_Facts]:
     own, told = _beside(network.path), "metadata of the ONNX file"
     if own.exists():
         yield _facts(str(own), lambda: _of_toml(own))
+    name, known = facts_of(network.sha256)
+    if known:
+        yield _Facts(f"g1stream's table of published policies, {name}", known)
     if "observation_names" in network.metadata:
         yield _facts(told, lambda: _of_tracking(network.metadata))
         yield _Facts(RATE_ASSUMED, {"rate": 50.0})

@@ -19,10 +19,16 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["HeldMotion"]
+__all__ = ["HeldMotion", "motion_in"]
 
 #: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
+
+
+def motion_in(policy: str) -> str | None:
+    """Path of the ONNX file of a policy, given as of `Network`, if it holds its motion."""
+    network = Network(policy)
+    return str(network.path) if network.holds_motion else None
 
 
 class HeldMotion:

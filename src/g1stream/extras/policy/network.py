@@ -13,14 +13,11 @@ import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.normaliser import normaliser
+from g1stream.extras.policy.published import LARGEST, policy_path, published
 from g1stream.optional import import_extra
 from g1stream.types import Floats
 
 __all__ = ["Network"]
-
-#: Largest file with its external data, bytes; a policy has some hundred thousand weights.
-_LARGEST: Final = 256 * 2**20
-
 
 #: Longest run, s; a step of a policy takes milliseconds.
 _LONGEST: Final = 5.0
@@ -46,7 +43,7 @@ class Network:
     """A network from an observation, and maybe a time step, to an action.
 
     Args:
-        path: path of the ONNX file.
+        path: path of the ONNX file, or name of a published policy.
 
     Attributes:
         path: path of the file.
@@ -54,17 +51,18 @@ class Network:
         width: width of the observation.
         n_actions: width of the action.
         outputs: names of all outputs.
-        steps: whether it takes a time step, which means that it contains a motion.
+        holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
         data_sha256: hash of the external data `<name>.data` beside it; None without that file.
 
     Raises:
-        ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
+        ConfigError: it is no ONNX file, its inputs and outputs are not those of a policy, or it
+            cannot be fetched.
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
         runtime = import_extra("onnxruntime", "policy", "A policy needs")
+        self.path = policy_path(path)
         data = self._check_size()
         self.sha256 = _sha256(self.path)
         self.data_sha256 = _sha256(data) if data else None
@@ -85,10 +83,10 @@ class Network:
                 "Give an ONNX file with standard operators, and its external data beside it.",
             ) from error
         shapes = {one.name: list(one.shape) for one in inputs}
-        self.steps = "time_step" in shapes
-        self._step = {"time_step": np.zeros((1, 1), np.float32)} if self.steps else {}
+        self._step = {"time_step": np.zeros((1, 1), np.float32)} if "time_step" in shapes else {}
         observations = [name for name in shapes if name != "time_step"]
         self.outputs = [one.name for one in self._session.get_outputs()]
+        self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
         actions = self._session.get_outputs()[0]
         self._observation = observations[0] if observations else ""
         wide = [shapes[name][-1] for name in observations if len(shapes[name]) == 2]
@@ -154,14 +152,15 @@ class Network:
             size += external.stat().st_size if external else 0
         except OSError as error:
             raise ConfigError(
-                f"The policy {self.path} cannot be read: {error.strerror}.", "Check the path."
+                f"The policy {self.path} cannot be read: {error.strerror}.",
+                f"Give the path of an ONNX file, or a published policy: {', '.join(published())}.",
             ) from error
         if not self.path.is_file():
             raise ConfigError(f"The policy {self.path} is not a file.", "Give an ONNX file.")
-        if size > _LARGEST:
+        if size > LARGEST:
             raise ConfigError(
                 f"The policy {self.path} has {size / 2**20:.0f} MB, more than the limit of "
-                f"{_LARGEST / 2**20:.0f} MB.",
+                f"{LARGEST / 2**20:.0f} MB.",
                 "Export the actor alone, without critic and optimiser.",
             )
         return external

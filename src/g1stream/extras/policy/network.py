@@ -49,8 +49,8 @@ class Network:
         path: path of the file.
         metadata: its custom metadata, as text.
         width: width of the observation.
-        n_actions: width of the action.
-        outputs: names of all outputs.
+        outputs: width of each output, 0 if it is not that of an action; by name.
+        first: name of the first output.
         holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
         data_sha256: hash of the external data `<name>.data` beside it; None without that file.
@@ -85,23 +85,23 @@ class Network:
         shapes = {one.name: list(one.shape) for one in inputs}
         self._step = {"time_step": np.zeros((1, 1), np.float32)} if "time_step" in shapes else {}
         observations = [name for name in shapes if name != "time_step"]
-        self.outputs = [one.name for one in self._session.get_outputs()]
+        self.outputs = {one.name: _width(one.shape) for one in self._session.get_outputs()}
+        self.first = next(iter(self.outputs))
         self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
-        actions = self._session.get_outputs()[0]
         self._observation = observations[0] if observations else ""
-        wide = [shapes[name][-1] for name in observations if len(shapes[name]) == 2]
-        if len(observations) != 1 or len(wide) != 1 or not isinstance(wide[0], int):
+        self.width = _width(shapes[self._observation]) if observations else 0
+        if len(observations) > 1:
+            raise ConfigError(
+                f"{self.path} takes {_shown(shapes)}: beside an observation, a state that is fed "
+                "back or the output of another network, such as an encoder.",
+                "Export all of it as one network with one input (1, width), or run it in its own "
+                "program and record that: `g1stream record`.",
+            )
+        if not self.width:
             raise ConfigError(
                 f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
-        if len(actions.shape) != 2 or not isinstance(actions.shape[1], int):
-            raise ConfigError(
-                f"The first output of {self.path}, {actions.name}, has the shape {actions.shape}, "
-                "which is not that of an action.",
-                "Export the actor so that its first output is the action (1, joints).",
-            )
-        self.width, self.n_actions = wide[0], actions.shape[1]
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
         """All outputs for one observation (width,), by name and without the batch dimension.
@@ -133,9 +133,9 @@ class Network:
         batches = map(np.atleast_1d, values)  # a scalar may be an unused output
         return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 
-    def act(self, observation: Floats, step: int = 0) -> Floats:
-        """The action (joints,) for one observation (width,)."""
-        action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
+    def act(self, observation: Floats, step: int = 0, output: str = "") -> Floats:
+        """The action (joints,) for one observation (width,): an output, or the first one."""
+        action: Floats = self.run(observation, step)[output or self.first].astype(np.float64)
         return action
 
     @cached_property
@@ -164,6 +164,11 @@ class Network:
                 "Export the actor alone, without critic and optimiser.",
             )
         return external
+
+
+def _width(shape: list[Any]) -> int:
+    """The width of an input or output (1, width); 0 if it has another shape or no known one."""
+    return shape[1] if len(shape) == 2 and isinstance(shape[1], int) else 0
 
 
 def _sha256(path: Path) -> str:

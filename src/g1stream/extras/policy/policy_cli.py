@@ -34,6 +34,7 @@ class Policy(Command):
       g1stream policy holosoma
       g1stream policy policy.onnx
       g1stream policy policy.onnx --motion dance.csv --json
+      g1stream policy holosoma --toml > policy.toml
       g1stream policy --replay session.mcap
 
     Exit codes:
@@ -51,6 +52,11 @@ class Policy(Command):
     motion: str | None = flag(None, "Motion to track.", "MOTION", excludes=("replay",))
     replay: str | None = flag(None, "Session whose observations the policy gets.", "SESSION")
     json: bool = flag(False, "Print the result as JSON.")
+    toml: bool = flag(
+        False,
+        "Print the facts as TOML, to write them beside another policy.",
+        excludes=("json", "replay"),
+    )
 
     def run(self) -> int:
         """Print contract and first actions, or a replay, and return the exit code."""
@@ -86,6 +92,9 @@ class Policy(Command):
 
         network = Network(file)
         contract = read_contract(network)
+        if self.toml:
+            print_lines(contract.toml())
+            return EXIT_OK
         motion = load_motion(self.motion) if self.motion else None
         if motion:
             print_warning(*motion.warnings)

@@ -348,7 +348,7 @@ WRONG = [
     ("history: joint_pos 3", {HISTORIES: "1,1,1,5,1,1"}, {"width": 212}),
     ("1025 values", {}, {"width": 1025}),
     ("several times: motion, motion", {NAMES: "command,motion"}, {}),
-    ("limits", {"observation_terms_clip": "-1,-1,-1,-1,-1,-1"}, {}),
+    ("limit of", {"observation_terms_clip": "-1,-1,-1,-1,-1,-1"}, {}),
     ("my.own", {}, {"domain": "my.own"}),
     ("width", {}, {"declared": "any"}),
 ]

@@ -1,4 +1,5 @@
 import hashlib
+import sys
 import zipfile
 
 import numpy as np
@@ -106,7 +107,7 @@ def test_without_the_wheel_or_without_pip_it_says_where_to_copy_the_file(
     kept = str(tmp_path / "cache" / "g1stream" / "walk.onnx")
     assert main(["policy", "walk"]) == 2
     assert kept in capsys.readouterr().err
-    monkeypatch.setattr(published, "find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "executable", "false")  # as a Python without pip
     assert main(["policy", "walk"]) == 2
     assert kept in capsys.readouterr().err
 
@@ -118,8 +119,11 @@ def test_a_cache_that_cannot_be_written_is_an_error(stub, tmp_path):
 
 def test_a_file_comes_before_a_name(stub, policy, monkeypatch):
     path = policy()
-    path = path.rename(path.with_name("walk"))
     monkeypatch.chdir(path.parent)
+    (path.parent / "walk").mkdir()  # such as a checkout
+    assert Network("walk").path.name == "walk.onnx"
+    (path.parent / "walk").rmdir()
+    path = path.rename(path.with_name("walk"))
     assert read_contract(Network("walk")).action_scale == [0.5] * 29
 
 

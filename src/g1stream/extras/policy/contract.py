@@ -262,9 +262,8 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
             given = values.get(name, values.get(name.removeprefix("held_")))
             arrays[name] = _joint_values(given, list(JOINT_NAMES), name, where)
     if (limits := values.get("target_clip")) is not None:
-        pairs = [_pair(one, "target_clip", where) for one in as_list(limits)]
-        ends = ([pair[i] for pair in pairs] for i in (0, 1))
-        lows, highs = (_joint_values(one, names, "target_clip", where) for one in ends)
+        sides = [[*one] for one in zip(*limits, strict=True)]
+        lows, highs = (_joint_values(one, names, "target_clip", where) for one in sides)
         arrays["target_clip"] = [[*one] for one in zip(lows, highs, strict=True)]
     _check_pose(arrays["default_pos"], names, robot, where)
     _check_width(terms, network, where)
@@ -371,8 +370,8 @@ def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: b
 
     scale, clip = values(given.get("scale", 1.0), "scale"), None
     if given.get("clip") is not None:
-        pair = _pair(given["clip"], f"limits of {named}", where)
-        ends = [values(one, "limit") * (1.0 if scale_first else scale) for one in pair]
+        low, high = given["clip"]
+        ends = [values(one, "limit") * (1.0 if scale_first else scale) for one in (low, high)]
         clip = np.clip(np.sort(ends, axis=0), -_INFINITE, _INFINITE)
     history = _steps(given.get("history", 1), f"history of {named}", where)
     behind = _steps(given.get("behind", 0), f"behind of {named}", where)
@@ -407,12 +406,6 @@ def _steps(value: Any, name: str, where: str) -> int:
     if isinstance(value, bool | str) or number % 1.0:
         raise _wrong(name, value, where, "a number of steps")
     return int(number)
-
-
-def _pair(value: Any, name: str, where: str) -> list[Any]:
-    if len(as_list(value)) != 2:
-        raise _wrong(name, value, where, "the lowest and the highest value")
-    return as_list(value)
 
 
 def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:

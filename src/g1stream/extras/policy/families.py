@@ -56,8 +56,7 @@ def sources(network: Network) -> Iterator[Facts]:
     """
     if (own := beside(network.path)).exists():
         yield _facts(str(own), partial(_of_toml, own))
-    name, known = facts_of(network.sha256)
-    yield Facts(f"g1stream's table of published policies, {name}", known)
+    yield Facts("g1stream's table of published policies", facts_of(network.sha256))
     sizes = [network.width, network.outputs[network.first]]
     for family in TABLE["families"].values():
         about, file = family["about"], network.path.parent / family.get("file", "")
@@ -75,7 +74,11 @@ def sources(network: Network) -> Iterator[Facts]:
 def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
     """The facts that a reader finds in a source, which may have any content."""
     try:
-        return Facts(where, read())
+        values = read()
+        limits = [one["clip"] for one in values.get("terms") or () if "clip" in one]
+        for _lowest, _highest in (*limits, *(values.get("target_clip") or ())):
+            pass  # each is a pair
+        return Facts(where, values)
     except G1StreamError:
         raise
     except Exception as error:
@@ -88,19 +91,13 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
 
 def _of_toml(path: Path) -> dict[str, Any]:
     values = read_toml(path, "policy file")
-    terms = values.get("terms", [])
-    if not (isinstance(terms, list) and all(isinstance(term, dict) for term in terms)):
-        raise ConfigError(
-            f"In {path}, terms is not a list of tables.", f"Write {TABLE['lines']['terms']}."
-        )
+    of_terms = {key for term in values.get("terms", []) for key in {**term}}
     keys = [*TABLE["lines"], *TABLE["optional"]]
-    for what, given, valid in (
-        (f"{path} has", values, keys),
-        (f"A term in {path} has", {key for term in terms for key in term}, TERM_KEYS),
-    ):
-        if unknown := sorted({*given} - {*valid}):
+    for what, given, valid in (("", {*values}, keys), ("a term of ", of_terms, TERM_KEYS)):
+        if unknown := sorted(given - {*valid}):
             raise ConfigError(
-                f"{what} the unknown keys {listed(unknown)}.", f"Choose from {', '.join(valid)}."
+                f"The unknown keys {listed(unknown)} are in {what}{path}.",
+                f"Choose from {', '.join(valid)}.",
             )
     return values
 
@@ -128,23 +125,18 @@ def _of_yaml(family: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 def _of_family(family: Mapping[str, Any], told: Any) -> dict[str, Any]:
     """The facts that a family finds in a file or in metadata."""
-    found = {name: _at(told, paths) for name, paths in family["paths"].items()}
+    found: Any = {name: _at(told, paths) for name, paths in family["paths"].items()}
     facts = {name: found[name] for name in found if name not in _NEEDED}
-    period, per_second, per_action, factor, by_effort, effort, motors, ids, by_step = map(
-        found.get, _NEEDED
+    period, per_second, per_action, factor, by_effort, effort, motors, ids, by_step = (
+        found.get(name) for name in _NEEDED
     )
-    if isinstance(period, int | float) and period > 0:
-        facts["rate"] = 1.0 / period
-    elif per_second and per_action:
-        facts["rate"] = per_second / per_action
+    if period or (per_second and per_action):
+        facts["rate"] = 1.0 / period if period else per_second / per_action
     if factor is not None and facts["action_scale"] is None:
         pairs = zip(as_list(effort), as_list(facts["kp"]), strict=True) if by_effort else ()
         facts["action_scale"] = [factor * most / kp for most, kp in pairs] or {"*": factor}
     if ids not in (None, [*range(N_JOINTS)]):
-        raise ConfigError(
-            "The policy moves only the joints of joint_ids, which is not supported.",
-            "Give a policy that was trained without it.",
-        )
+        raise ValueError("its action has only the joints of joint_ids")
     if isinstance(motors, list) and all(motor in range(N_JOINTS) for motor in motors):
         facts["joint_names"] = [JOINT_NAMES[motor] for motor in motors]
         for name in ("kp", "kd"):

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
 import zipfile
 from functools import cache
-from importlib.util import find_spec
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -33,11 +32,10 @@ def published() -> dict[str, Any]:
     return read_toml(Path(__file__).with_name("published.toml"), "table of policies")
 
 
-def facts_of(sha256: str) -> tuple[str, dict[str, Any]]:
-    """Name and facts of the published policy with this hash in hex; empty if there is none."""
-    rows = published().items()
-    found = ((name, row.get("facts", {})) for name, row in rows if row["sha256"] == sha256)
-    return next(found, ("", {}))
+def facts_of(digest: str) -> dict[str, Any]:
+    """Facts of the published policy with this SHA-256 in hex; empty if there is none."""
+    rows = (row.get("facts", {}) for row in published().values() if row["sha256"] == digest)
+    return next(rows, {})
 
 
 def policy_path(given: Path | str) -> Path:
@@ -50,11 +48,11 @@ def policy_path(given: Path | str) -> Path:
         ConfigError: it cannot be fetched or kept, or is not the file of the table.
     """
     name, row = str(given), published().get(str(given))
-    if row is None or Path(given).exists():
+    if row is None or Path(given).is_file():
         return Path(given)
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     kept = caches / "g1stream" / f"{name}.onnx"
-    if kept.is_file() and _sha256(kept.read_bytes()) == row["sha256"]:
+    if kept.is_file() and sha256(kept.read_bytes()).hexdigest() == row["sha256"]:
         return kept
     wheel = f"{row['package']}=={row['version']}"
     print_note(
@@ -62,10 +60,10 @@ def policy_path(given: Path | str) -> Path:
         f"{row['licence']}, {row['source']}) ..."
     )
     content = _downloaded(wheel, row["file"], kept)
-    if _sha256(content) != row["sha256"]:
+    if (found := sha256(content).hexdigest()) != row["sha256"]:
         raise ConfigError(
             f"{row['file']} in {wheel} is not the published policy {name}: its SHA-256 is "
-            f"{_sha256(content)}, not {row['sha256']}.",
+            f"{found}, not {row['sha256']}.",
             "Do not use it; `pip config list` shows from which index it came.",
         )
     with output_errors(kept.parent):
@@ -78,23 +76,16 @@ def policy_path(given: Path | str) -> Path:
 
 def _downloaded(wheel: str, file: str, kept: Path) -> bytes:
     """A file of a wheel on the package index that pip is configured for."""
-    instead = f"copy {Path(file).name} of this wheel from another machine to {kept}"
-    if find_spec("pip") is None:
-        raise ConfigError(
-            f"{wheel} cannot be downloaded, because {sys.executable} has no pip.",
-            f"Install it with `python -m ensurepip`, or {instead}.",
-        )
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "--quiet"]
+    which = ["download", wheel, "--no-deps", "--only-binary", ":all:", "--retries", "1", "--dest"]
     with TemporaryDirectory() as folder:
-        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input"]
-        which = ["download", "--no-deps", "--only-binary", ":all:", "--dest", folder, wheel]
-        done = subprocess.run(
-            [*pip, *which, "--quiet", "--retries", "1"], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([*pip, *which, folder], capture_output=True, text=True, check=False)
         if done.returncode:
             said = done.stderr.strip().splitlines() or ["no reason given"]
             raise ConfigError(
                 f"pip cannot download {wheel}: {said[-1].removeprefix('ERROR: ').rstrip('.')}.",
-                f"Connect to a package index (PIP_INDEX_URL names another one), or {instead}.",
+                "Install pip (python -m ensurepip), connect to a package index (PIP_INDEX_URL), or "
+                f"copy {Path(file).name} of this wheel from another machine to {kept}.",
             )
         try:
             with zipfile.ZipFile(next(Path(folder).glob("*.whl"))) as archive:
@@ -105,7 +96,3 @@ def _downloaded(wheel: str, file: str, kept: Path) -> bytes:
                 f"The wheel of {wheel} has no {file}: {str(error)[:100]}.",
                 "`pip config list` shows from which index it came.",
             ) from error
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -396,6 +396,17 @@ def test_what_cannot_be_played_is_said_before_facts_are_asked_for(
     assert "default_pos" not in said
 
 
+@pytest.mark.parametrize("given", ["encoder", "decoder"])
+def test_an_encoder_beside_a_decoder_is_said_to_be_one_of_two_networks(tmp_path, capsys, given):
+    for name, (takes, gives) in {"encoder": (500, 64), "decoder": (200, 29)}.items():
+        saved(tmp_path / f"g1_{name}.onnx", [("obs", takes)], [("out", gives)])
+    assert main(["policy", str(tmp_path / f"g1_{given}.onnx")]) == 2
+    said = capsys.readouterr().err
+    assert "g1_encoder.onnx" in said
+    assert "g1_decoder.onnx" in said
+    assert "default_pos" not in said
+
+
 def test_a_network_of_the_sizes_of_pbhc_is_of_its_family(tmp_path):
     """Its terms and their order are those of its published config.yaml, sorted by name."""
     path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])

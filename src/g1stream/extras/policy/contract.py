@@ -299,6 +299,15 @@ def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> 
     """Refuse a network that cannot be played at all, or of which nothing is known."""
     action = values.get("action", network.first)
     most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)
+    for kind, other in (("decoder", "encoder"), ("encoder", "decoder")):
+        second = network.path.with_name(network.path.name.replace(kind, other))
+        if second != network.path and second.exists() and "terms" not in values:
+            raise ConfigError(
+                f"{where[0].upper()}{where[1:]} is one of two networks, an encoder and a decoder "
+                f"({second.name}).",
+                "Export both as one network, or run them in their own program and record that: "
+                "`g1stream record`.",
+            )
     if not 0 < n_actions <= N_JOINTS:
         found = [name for name, size in network.outputs.items() if 0 < size <= N_JOINTS]
         raise ConfigError(
@@ -476,28 +485,22 @@ def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
     total = sum(term.size for term in terms)
     if total == network.width:
         return
-    lacking = network.width - total
+    lacking, most = network.width - total, TABLE["ranges"]["history"][1]
     sizes = {term.name: term.size for term in terms}
     if lacking > 0:
-        n_joints = network.outputs[network.first]
-        sizes = {k: t.size + t.by_joint * n_joints for k, t in TERMS.items() if k not in sizes}
+        n = network.outputs[network.first]
+        sizes = {k: t.size + t.by_joint * n for k, t in TERMS.items() if k not in sizes}
+    some = [*combinations(sizes, 1), *combinations(sizes, 2)]
     fitting = [
-        " and ".join(some)
-        for number in (1, 2)
-        for some in combinations(sizes, number)
-        if sum(sizes[name] for name in some) == abs(lacking)
+        " and ".join(one) for one in some if sum(sizes[name] for name in one) == abs(lacking)
     ]
-    histories = []
-    for term in terms:
-        more, rest = divmod(lacking, term.size // term.history)
-        if not rest and 1 <= term.history + more <= TABLE["ranges"]["history"][1]:
-            histories.append(f"{term.named} {term.history + more}")
-    steps, rest = divmod(network.width, total or network.width + 1)
-    if not rest and 1 < steps <= TABLE["ranges"]["history"][1]:
-        histories.append(f"each term {steps} times as many")
+    longer = {one.named: (one.size + lacking) * one.history / one.size for one in terms}
+    steps = [f"{name} {n:g}" for name, n in longer.items() if n in range(1, int(most) + 1)]
+    if total and network.width / total in range(2, int(most) + 1):
+        steps.append(f"each term {network.width // total} times as many")
     guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
-    if histories and (not fitting or any(term.history > 1 for term in terms)):
-        guess += f" Or steps of history: {listed(histories, 4)}."
+    if steps and (not fitting or any(term.history > 1 for term in terms)):
+        guess += f" Or steps of history: {listed(steps, 4)}."
     raise ConfigError(
         f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",

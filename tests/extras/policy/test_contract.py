@@ -159,6 +159,13 @@ def test_histories_of_metadata_and_a_toml_file(policy, capsys):
     for told, values, named in (
         (term, ("0", "true", "1.5", "1000", '"2"', "[1]"), "history of base_ang_vel"),
         ("history_start = ", ('"ones"', "0", '["zeros"]'), "history_start"),
+        ("history_by = ", ('"steps"', "true", '["step"]'), "history_by"),
+        ("scale_first = ", ('"true"', "[true]"), "scale_first"),
+        ("action = ", ('"action"', '["actions"]', "0"), "output"),
+        ("clip = ", ('"x"', "[1.0, 2.0]", "nan"), "clip"),
+        ("target_clip = ", ("1.0", "[1.0, 2.0]", "[[1.0]]"), "target_clip|facts"),
+        (f"{term}2\nnewest_first = ", ("1", '"true"'), "newest_first"),
+        (f"{term}2\nclip = ", ("1.0", "[1.0]", '["a", "b"]', "[[1.0, 2.0], 3.0]"), "limit|facts"),
     ):
         for wrong in values:
             path.with_suffix(".toml").write_text(f"{told}{wrong}\n")

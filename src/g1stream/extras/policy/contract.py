@@ -130,8 +130,7 @@ class PolicyContract(Record, frozen=True):
     @property
     def remembers(self) -> bool:
         """Whether an observation has values of earlier steps, besides the last action."""
-        smoothed = self.action_smoothing > 0.0
-        return self.lag > 0 or smoothed or any(one.history + one.behind > 1 for one in self.terms)
+        return self.lag > 0 or any(one.history + one.behind > 1 for one in self.terms)
 
     @property
     def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -243,6 +242,10 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     where = f"the policy {path}"
     _check_playable(network, values, where)
     names = [str(name) for name in as_list(values.get("joint_names", list(JOINT_NAMES)))]
+    values = {name: one for name, one in _OPTIONAL.items() if one != ""} | values
+    for name, choices in TABLE["choices"].items():
+        if values[name] not in choices:
+            raise _wrong(name, values[name], where, " or ".join(map(repr, choices)))
     terms = _terms(values, len(names), where)
     uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
     missing = [one for one in _LINES if one not in values and (one != "anchor" or uses_anchor)]
@@ -251,7 +254,6 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
             f"Facts of {where} are missing: {', '.join(missing)}.",
             f"Write to {beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
         )
-    values = {name: one for name, one in _OPTIONAL.items() if one != ""} | values
     _check_joints(names, network.outputs[values.get("action", network.first)], where)
     arrays: dict[str, Any] = {
         name: _joint_values(values.get(name, values["default_pos"]), names, name, where)
@@ -270,9 +272,6 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     tracks = any(term.name.startswith("motion_") for term in terms)
     if uses_anchor and values["anchor"] not in robot.link_names:
         raise _wrong("anchor", values["anchor"], where, "a link of the robot, such as torso_link")
-    if str(values["history_start"]) not in _HISTORY_STARTS:
-        valid = " or ".join(map(repr, _HISTORY_STARTS))
-        raise _wrong("history_start", values["history_start"], where, valid)
     numbers = {
         name: _number(values[name], name, where) or None
         for name in ("clip", "action_clip")
@@ -297,7 +296,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
 
 def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> None:
     """Refuse a network that cannot be played at all, or of which nothing is known."""
-    action = values.get("action", network.first)
+    action = str(values.get("action", network.first))
     most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)
     for kind, other in (("decoder", "encoder"), ("encoder", "decoder")):
         second = network.path.with_name(network.path.name.replace(kind, other))
@@ -340,12 +339,11 @@ def _terms(values: Mapping[str, Any], n_joints: int, where: str) -> list[Term]:
             f"The observation of {where} has one term several times: {listed(twice)}.",
             "Give each term once, with its history if it has one.",
         )
-    if values.get("history_by") == "step":
+    if values["history_by"] == "step":
         longest = max([_steps(one.get("history", 1), "history", where) for one in given], default=1)
         steps = range(longest)[::-1]
         given = [one | {"history": 1, "behind": step} for step in steps for one in given]
-    first = bool(values.get("scale_first"))
-    terms = [_term(one, n_joints, where, scale_first=first) for one in given]
+    terms = [_term(one, n_joints, where, scale_first=values["scale_first"]) for one in given]
     counts = Counter[str]()
     for at in sorted(range(len(terms)), key=lambda at: terms[at].behind):
         counts[name := terms[at].name] += 1
@@ -384,13 +382,16 @@ def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: b
         clip = np.clip(np.sort(ends, axis=0), -_INFINITE, _INFINITE)
     history = _steps(given.get("history", 1), f"history of {named}", where)
     behind = _steps(given.get("behind", 0), f"behind of {named}", where)
+    newest_first = given.get("newest_first", False)
+    if not isinstance(newest_first, bool):
+        raise _wrong(f"newest_first of {named}", newest_first, where, "true or false")
     return Term(
         name=name,
         named=named,
         size=size * history,
         history=history,
         behind=behind,
-        newest_first=bool(given.get("newest_first")),
+        newest_first=newest_first,
         scale=scale.tolist(),
         clip=None if clip is None or np.abs(clip).min() >= _INFINITE else clip.tolist(),
         formula=TERMS[name].formula + (f", {counted(behind, 'step')} before" if behind else ""),

@@ -18,7 +18,7 @@ from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.source import PolicyTargets
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from known_policies import METADATA, endless
+from known_policies import METADATA, endless, saved
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 #: Metadata with a value for each joint.
@@ -367,20 +367,6 @@ def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, nam
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert named in said
-
-
-def saved(path, inputs, outputs):
-    """A network of zeros from the first input to the last output."""
-    tensor, real = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
-    shape = inputs[0][1], outputs[-1][1]
-    weights = onnx.numpy_helper.from_array(np.zeros(shape, np.float32), "weights")
-    nodes = [onnx.helper.make_node("Identity", [inputs[0][0]], [name]) for name, _ in outputs[:-1]]
-    nodes += [onnx.helper.make_node("MatMul", [inputs[0][0], "weights"], [outputs[-1][0]])]
-    both = ([tensor(name, real, [1, n]) for name, n in some] for some in (inputs, outputs))
-    graph = onnx.helper.make_graph(nodes, "policy", *both, [weights])
-    opsets = [onnx.helper.make_opsetid("", 17)]
-    onnx.save(onnx.helper.make_model(graph, opset_imports=opsets, ir_version=8), path)
-    return path
 
 
 @pytest.mark.parametrize(

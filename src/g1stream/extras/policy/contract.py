@@ -427,50 +427,46 @@ def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
 
 def _check_joints(names: list[str], n_actions: int, where: str) -> None:
     strange = [name for name in names if name not in JOINT_NAMES]
-    if strange:
+    if strange or len({*names}) != len(names) or len(names) != n_actions:
+        ours = f"names {counted(len({*names}), 'joint')} but has {counted(n_actions, 'action')}"
         raise ConfigError(
-            f"{where[0].upper()}{where[1:]} is for another robot: a G1 has no "
-            f"{listed(strange, 3)}.",
-            f"Give a policy for a G1 with {N_JOINTS} joints.",
-        )
-    if len(set(names)) != n_actions or len(names) != n_actions:
-        raise ConfigError(
-            f"{where[0].upper()}{where[1:]} names {counted(len(set(names)), 'joint')} but has "
-            f"{counted(n_actions, 'action')}.",
+            f"{where[0].upper()}{where[1:]} "
+            + (
+                f"is for another robot: a G1 has no {listed(strange, 3)}."
+                if strange
+                else f"{ours}."
+            ),
             f"Give one action for each joint, and each of a G1's {N_JOINTS} joints at most once.",
         )
 
 
 def _joint_values(given: Any, names: list[str], what: str, where: str) -> list[float]:
     """A value for each joint, from a list or a table of names and patterns."""
-    if isinstance(given, dict):
-        found = np.full(len(names), np.nan)
-        for pattern, value in given.items():
-            matching = [fnmatchcase(name, pattern) for name in names]
-            if not any(matching):
-                raise ConfigError(
-                    f"In {where}, {what} names {pattern}, which is not a joint.",
-                    'Give joint names, or patterns such as "*_knee_joint".',
-                )
-            found[matching] = _number(value, f"{what} of {pattern}", where)
-        if np.isnan(found).any():
-            lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
+    if not isinstance(given, dict):
+        values = as_list(given)
+        if len(values) not in (1, len(names)):
             raise ConfigError(
-                f"In {where}, {what} has no value for {listed(lacking, 3)}.",
-                'Give one, or a default for all others first: "*" = 0.0.',
+                f"In {where}, {what} has {counted(len(values), 'value')} for "
+                f"{counted(len(names), 'joint')}.",
+                f'Give one for each, or a table such as {what} = {{ "*" = 0.3 }}.',
             )
-        return list(found)
-    values = given if isinstance(given, list) else [given]
-    if len(values) == 1:
-        values = values * len(names)
-    if len(values) != len(names):
+        given = dict(zip(names if len(values) > 1 else "*", values, strict=True))
+    found = np.full(len(names), np.nan)
+    for pattern, value in given.items():
+        matching = [fnmatchcase(name, pattern) for name in names]
+        if not any(matching):
+            raise ConfigError(
+                f"In {where}, {what} names {pattern}, which is not a joint.",
+                'Give joint names, or patterns such as "*_knee_joint".',
+            )
+        found[matching] = _number(value, f"{what} of {pattern}", where)
+    if np.isnan(found).any():
+        lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
         raise ConfigError(
-            f"In {where}, {what} has {counted(len(values), 'value')} for "
-            f"{counted(len(names), 'joint')}.",
-            f'Give one for each, or a table such as {what} = {{ "*" = 0.3 }}.',
+            f"In {where}, {what} has no value for {listed(lacking, 3)}.",
+            'Give one, or a default for all others first: "*" = 0.0.',
         )
-    pairs = zip(values, names, strict=True)
-    return [_number(value, f"{what} of {name}", where) for value, name in pairs]
+    return list(map(float, found))
 
 
 def _check_pose(pose: list[float], names: list[str], robot: G1, where: str) -> None:

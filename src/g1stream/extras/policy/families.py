@@ -28,13 +28,6 @@ TERM_KEYS: Final = ("name", "formula", "scale", "clip", "history", "behind", "ne
 """Keys of a term."""
 
 
-#: What a family finds to compute facts from.
-_NEEDED: Final = (
-    *("period", "steps_per_second", "steps_per_action", "action_factor", "by_effort", "effort"),
-    *("motors", "joint_ids", "by_step"),
-)
-
-
 class Facts(NamedTuple):
     """Values by the names of a TOML file, their source, and whether they are only assumed."""
 
@@ -125,24 +118,25 @@ def _of_yaml(family: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 def _of_family(family: Mapping[str, Any], told: Any) -> dict[str, Any]:
     """The facts that a family finds in a file or in metadata."""
-    found: Any = {name: _at(told, paths) for name, paths in family["paths"].items()}
-    facts = {name: found[name] for name in found if name not in _NEEDED}
-    period, per_second, per_action, factor, by_effort, effort, motors, ids, by_step = (
-        found.get(name) for name in _NEEDED
-    )
-    if period or (per_second and per_action):
-        facts["rate"] = 1.0 / period if period else per_second / per_action
-    if factor is not None and facts["action_scale"] is None:
-        pairs = zip(as_list(effort), as_list(facts["kp"]), strict=True) if by_effort else ()
-        facts["action_scale"] = [factor * most / kp for most, kp in pairs] or {"*": factor}
-    if ids not in (None, [*range(N_JOINTS)]):
+    facts = {name: _at(told, paths) for name, paths in family["paths"].items()}
+    other: dict[str, Any] = {k: _at(told, paths) for k, paths in family.get("from", {}).items()}
+    period, per_action, motors = map(other.get, ("period", "per_action", "motors"))
+    if period or (per_action and other["per_second"]):
+        facts["rate"] = 1.0 / period if period else other["per_second"] / per_action
+    if (factor := other.get("action_factor")) is not None and facts["action_scale"] is None:
+        facts["action_scale"] = {"*": factor}
+        if other["by_effort"]:
+            pairs = zip(as_list(other["effort"]), as_list(facts["kp"]), strict=True)
+            facts["action_scale"] = [factor * most / kp for most, kp in pairs]
+    if other.get("joint_ids") not in (None, [*range(N_JOINTS)]):
         raise ValueError("its action has only the joints of joint_ids")
     if isinstance(motors, list) and all(motor in range(N_JOINTS) for motor in motors):
         facts["joint_names"] = [JOINT_NAMES[motor] for motor in motors]
         for name in ("kp", "kd"):
             if len(as_list(facts[name])) >= len(motors):
                 facts[name] = [facts[name][motor] for motor in motors]
-    facts["history_by"] = "step" if by_step else None
+    if other.get("by_step"):
+        facts["history_by"] = "step"
     rows = _rows(family, told)
     return facts | {"terms": rows and [_row(one) for one in rows]}
 

@@ -4,12 +4,13 @@ policies of others, which are not part of the project."""
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from g1stream.robot.joints import JOINT_NAMES
 
-__all__ = ["DANCE", "METADATA", "POLICIES", "endless", "needs_policies", "network_of"]
+__all__ = ["DANCE", "METADATA", "POLICIES", "endless", "needs_policies", "network_of", "saved"]
 
 _SHARED = Path(__file__).parents[2] / "shared"
 POLICIES = _SHARED / "policies"
@@ -74,3 +75,17 @@ def endless(width=154, n_actions=29):
         ],
     )
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+
+
+def saved(path, inputs, outputs):
+    """A network of zeros from the first input to the last output."""
+    tensor, real = helper.make_tensor_value_info, TensorProto.FLOAT
+    shape = inputs[0][1], outputs[-1][1]
+    weights = numpy_helper.from_array(np.zeros(shape, np.float32), "weights")
+    nodes = [helper.make_node("Identity", [inputs[0][0]], [name]) for name, _ in outputs[:-1]]
+    nodes += [helper.make_node("MatMul", [inputs[0][0], "weights"], [outputs[-1][0]])]
+    both = ([tensor(name, real, [1, n]) for name, n in some] for some in (inputs, outputs))
+    graph = helper.make_graph(nodes, "policy", *both, [weights])
+    opsets = [helper.make_opsetid("", 17)]
+    onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), path)
+    return path

@@ -272,10 +272,10 @@ class StreamConfig(Table):
     )
     policy: str | None = setting(
         None,
-        "ONNX file of a learned policy that plays the motion on the robot's own feet (extra "
-        "`policy`, see `g1stream policy`)",
+        "learned policy that plays the motion on the robot's own feet: an ONNX file, or the name "
+        "of a published one (extra `policy`, see `g1stream policy`)",
         flag=(*PLAY_FLAG, "demo"),
-        metavar="ONNX",
+        metavar="POLICY",
         example="policy.onnx",
     )
     stand: float = setting(

@@ -32,6 +32,7 @@ EXTENSIONS: Final = {
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",
     "read_log": "g1stream.extras.ros2.bag_reader:BagSource",
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
+    "motion_in_policy": "g1stream.extras.policy.held_motion:motion_in",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
     "policy_terms": "g1stream.extras.policy.terms:encode",
     "policy_terms_schema": "g1stream.extras.policy.terms:schema",

@@ -86,7 +86,6 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
         (["x", "--domian", "3"], "flag --domian", "--domain"),
         (["--domian=3"], "--domian", "--domain"),
         (["x", "-z"], "-z", "--help"),
-        ([], "MOTION", "--help"),
         (["x", "--domain"], "--domain", "--help"),
         (["x", "--duration", "--arm"], "--duration", "--help"),
         (["x", "--arm=yes"], "yes", "--help"),
@@ -98,6 +97,12 @@ def test_flags_and_arguments_that_do_not_exist_or_are_missing(arguments, cause, 
     assert cause in caught.value.cause
     assert remedy in caught.value.remedy
     assert capsys.readouterr() == ("", "")
+
+
+def test_an_argument_that_is_missing_is_named():
+    with pytest.raises(ConfigError) as caught:
+        parse_flags(Record, "record", "", [])
+    assert "MCAP" in caught.value.cause
 
 
 def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign():

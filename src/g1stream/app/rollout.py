@@ -21,6 +21,7 @@ from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import LOG, Batch, LowState, Topic
 from g1stream.errors import ConfigError
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import default_motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
@@ -37,7 +38,7 @@ LATENCY: Final = 100_000
 
 
 def rollout(
-    motion: Motion | str | Path,
+    motion: Motion | str | Path | None = None,
     *,
     support: StreamSupport | None = None,
     feedforward: FeedForwardKind | None = None,
@@ -66,7 +67,7 @@ def rollout(
     times are `LATENCY`, 0.1 ms, later.
 
     Args:
-        motion: a motion, a motion file, or the name of a bundled motion.
+        motion: a motion, a motion file, or the name of a bundled motion; None: the policy's own.
         support: how the pelvis is held; if None free with a policy, otherwise
             `config.sim.support`, by default bolted. With `feet` nothing holds it, and the loop
             balances the robot (extra `feet`).
@@ -79,8 +80,8 @@ def rollout(
         announced: support that the simulated robot announces, if it shall differ from the real one.
         noise: called with each `LowState` before it is published, and may change it in place;
             `config.sim.noise` and `config.sim.seed` if None.
-        policy: ONNX file of a learned policy that plays the motion on free feet (extra `policy`);
-            `config.stream.policy` if None.
+        policy: learned policy that plays the motion on free feet (extra `policy`): an ONNX file, or
+            the name of a published one; `config.stream.policy` if None.
         kp: servo gain, N·m/rad: for all joints, or by joint, limb or pattern, such as
             {"arms": 60.0, "*_knee_joint": 150.0}; overrides `config.gains`.
         kd: likewise, N·m·s/rad.
@@ -99,7 +100,7 @@ def rollout(
         support = support or "free"
         feedforward = feedforward or config.stream.feedforward or "dynamics"
     config = _resolve(config, support, feedforward, seconds, joints, {"kp": kp, "kd": kd})
-    planned = plan(motion, config, simulated=True)
+    planned = plan(default_motion(config) if motion is None else motion, config, simulated=True)
     robot = planned.robot
     pipeline = MessagePipeline(robot, config.record, planned.source.traits.about)
     simulated = SimulatedRobot(

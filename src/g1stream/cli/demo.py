@@ -39,6 +39,7 @@ class Demo(LiveCommand, MotionFlags):
       g1stream demo
       g1stream demo --motion dance.csv --support hanging --out dance-demo
       g1stream demo --support feet
+      g1stream demo --policy holosoma
       g1stream demo --duration 5 --viewer
       g1stream demo --live
 
@@ -51,7 +52,7 @@ class Demo(LiveCommand, MotionFlags):
 
     defaults: ClassVar = {"dds.domain": "the first free one of 1 to 8"}
 
-    motion: str = flag("demo", MOTION, "MOTION")
+    motion: str | None = flag(None, MOTION, "MOTION", shown="that in the ONNX file, or demo")
     out: Path = flag(
         Path("demo-out"), "Directory for session.mcap, tracking.png, report.html.", "DIR"
     )
@@ -61,13 +62,14 @@ class Demo(LiveCommand, MotionFlags):
     def run(self) -> int:
         """Run it, and return the exit code."""
         from g1stream.app.demo import FIGURE, check_absent, demo
+        from g1stream.motion.readers import default_motion
         from g1stream.robot.model import G1
 
         config = self.resolve()
         page = self.out / "report.html"
         if not self.force:
             check_absent(page)
-        motion = self.load([self.motion], G1.of_config(config))
+        motion = self.load([self.motion or default_motion(config, "demo")], G1.of_config(config))
         print_warning(*motion.warnings)
         with playing() as prepare, ExitStack() as stack:
 

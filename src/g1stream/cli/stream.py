@@ -23,7 +23,7 @@ from g1stream.cli.command import (
     yes_flag,
 )
 from g1stream.cli.doctor import render as render_findings
-from g1stream.cli.flags import argument, flag
+from g1stream.cli.flags import flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.control.stop import Stop
@@ -130,7 +130,9 @@ class Stream(LiveCommand, MotionFlags):
 
     defaults: ClassVar = {"profile": "by the interface"}
 
-    motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
+    motions: tuple[str, ...] = flag(
+        (), MOTIONS, "MOTION...", positional=True, shown="the policy's own"
+    )
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")
     force: bool = flag(False, "Replace an existing recording.", needs=("record",))
     gains: Path | None = flag(
@@ -180,10 +182,11 @@ class Stream(LiveCommand, MotionFlags):
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.app.stream import stream
+        from g1stream.motion.readers import default_motion
         from g1stream.robot.model import G1
 
         config = self.resolve()
-        motion = self.load(self.motions, G1.of_config(config))
+        motion = self.load(self.motions or [default_motion(config)], G1.of_config(config))
         print_warning(*motion.warnings)
         announce_wire(config)
         with self.serving(config), playing() as prepare:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Iterator, Mapping
 
+    from g1stream.config import Config
     from g1stream.robot.model import G1
     from g1stream.types import Floats, JointOrder
 
@@ -38,6 +39,7 @@ __all__ = [
     "MotionFile",
     "MotionReader",
     "Poses",
+    "default_motion",
     "find_motion",
     "load_motion",
 ]
@@ -346,6 +348,21 @@ FORMATS: Final = (
     Format("CSV", "g1stream.motion.csv:open_csv", _is_csv),
 )
 """The formats that the core reads."""
+
+
+def default_motion(config: Config, otherwise: str | None = None) -> str:
+    """The motion that plays if none is given: the policy's own, or `otherwise`.
+
+    Raises:
+        ConfigError: the policy cannot be read, or there is neither.
+    """
+    policy = config.stream.policy
+    motion: str | None = (policy and extension("motion_in_policy")(policy)) or otherwise
+    if motion is None:
+        raise ConfigError(
+            "No motion is given.", "Give a motion file, or a policy that holds its motion."
+        )
+    return motion
 
 
 def find_motion(

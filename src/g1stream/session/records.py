@@ -234,31 +234,33 @@ class PolicyInfo(Record):
     def columns(self) -> dict[str, slice]:
         """Columns of each term in the observation, by name; empty if they are unknown."""
         sizes = self._sizes
-        ends = accumulate(size for _, size, _ in sizes)
+        ends = accumulate(size for _, size, *_ in sizes)
         return {
-            name: slice(end - size, end) for (name, size, _), end in zip(sizes, ends, strict=True)
+            name: slice(end - size, end) for (name, size, *_), end in zip(sizes, ends, strict=True)
         }
 
     @property
     def newest(self) -> dict[str, slice]:
-        """Columns of each term's newest step, which is the last one in a history."""
+        """Columns of each term's newest step, which is the last or the first one in a history."""
         columns = self.columns
+        ends = ((n, columns[n], size // steps, first) for n, size, steps, first in self._sizes)
         return {
-            name: slice(columns[name].stop - size // history, columns[name].stop)
-            for name, size, history in self._sizes
+            name: slice(at.start, at.start + size) if first else slice(at.stop - size, at.stop)
+            for name, at, size, first in ends
         }
 
     @property
-    def _sizes(self) -> list[tuple[str, int, int]]:
-        """Name, number of values and number of steps of each term; empty if they are unknown."""
+    def _sizes(self) -> list[tuple[str, int, int, bool]]:
+        """Name, numbers of values and steps, and whether the newest is first; empty if unknown."""
         try:
             sizes = [
-                (str(one["name"]), int(one["size"]), int(one.get("history", 1)))
+                (str(one["name"]), int(one["size"]), int(one.get("history", 1)), newest is True)
                 for one in self.contract["terms"]
+                for newest in [one.get("newest_first")]
             ]
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
             return []
-        sound = all(size >= 0 and history > 0 and not size % history for _, size, history in sizes)
+        sound = all(size >= 0 and steps > 0 and not size % steps for _, size, steps, _ in sizes)
         return sizes if sound else []
 
 

@@ -9,11 +9,20 @@ from hypothesis import strategies as st
 
 import g1stream
 from g1stream.cli.main import main
+from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Pose, ReferenceFrame, RobotState
+from g1stream.extras.policy.observer import Observer
+from g1stream.extras.policy.source import PolicyTargets
 from g1stream.robot.joints import JOINT_NAMES
-from known_policies import METADATA, endless
+from g1stream.robot.model import G1
+from known_policies import METADATA, endless, saved
+
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+#: Metadata with a value for each joint.
+BY_JOINT = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
 
 
 def contract_of(path):
@@ -82,29 +91,47 @@ def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(deployed
     assert contract.joint_names == list(JOINT_NAMES[::-1])
     assert contract.kp == [float(motor) for motor in range(28, -1, -1)]
     assert contract.in_motor_order(contract.kp).tolist() == [float(m) for m in range(29)]
-    assert contract.default_pos == [0.01] * 29
+    assert contract.default_pos == [0.0] * 29
+    assert contract.action_offset == [0.01] * 29
     assert [term.scale for term in contract.terms] == [[0.2] * 3, [1.0], [1.0]]
     assert contract.rate == pytest.approx(50.0)
     assert (contract.reference, contract.anchor) == ("none", None)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "refused"),
-    [
-        ("clip", [[-0.5, 0.5]] * 29, True),
-        ("clip", None, False),
-        ("joint_ids", [*range(12)], True),
-        ("joint_ids", [*range(29)], False),
-    ],
-)
-def test_limits_of_actions_in_a_deploy_yaml_are_not_dropped(deployed, key, value, refused):
-    path = deployed(29, {"last_action": {}})
+def with_action(path, **changed):
+    """Change what the deploy.yaml beside a policy says about its action."""
     beside = path.with_name("deploy.yaml")
     values = json.loads(beside.read_text())
-    values["actions"]["JointPositionAction"][key] = value
+    values["actions"]["JointPositionAction"] |= changed
     beside.write_text(json.dumps(values))
-    with pytest.raises(ConfigError, match=key) if refused else nullcontext():
+    return path
+
+
+@pytest.mark.parametrize(("ids", "refused"), [([*range(12)], True), ([*range(29)], False)])
+def test_an_action_of_some_joints_in_a_deploy_yaml_is_refused(deployed, ids, refused):
+    path = with_action(deployed(29, {"last_action": {}}), joint_ids=ids)
+    with pytest.raises(ConfigError, match="joint_ids") if refused else nullcontext():
         assert contract_of(path).rate == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, [0.0] * 29, None])
+def test_an_offset_of_zero_is_one_and_is_not_the_default_pose(deployed, offset):
+    """Unitree's runner adds no offset if it is null."""
+    path = with_action(deployed(29, {"last_action": {}}), offset=offset)
+    beside = path.with_name("deploy.yaml")
+    values = json.loads(beside.read_text()) | {"default_joint_pos": [0.1] * 29}
+    beside.write_text(json.dumps(values))
+    contract = contract_of(path)
+    assert (contract.default_pos, contract.action_offset) == ([0.1] * 29, [0.0] * 29)
+    assert contract.targets(np.ones(29)) == pytest.approx(np.full(29, 0.25))
+
+
+def test_targets_keep_the_limits_of_a_deploy_yaml(deployed):
+    """Limits are those of targets, by joint of the policy, whose order is the reverse."""
+    limits = [[-0.5, 0.1 + 0.01 * joint] for joint in range(29)]
+    contract = contract_of(with_action(deployed(29, {"last_action": {}}), clip=limits))
+    assert contract.targets(np.full(29, 100.0))[::-1] == pytest.approx([one[1] for one in limits])
+    assert contract.targets(np.full(29, -100.0)) == pytest.approx(np.full(29, -0.5))
 
 
 def test_metadata_that_is_nested_too_deeply_is_refused(policy):
@@ -132,6 +159,13 @@ def test_histories_of_metadata_and_a_toml_file(policy, capsys):
     for told, values, named in (
         (term, ("0", "true", "1.5", "1000", '"2"', "[1]"), "history of base_ang_vel"),
         ("history_start = ", ('"ones"', "0", '["zeros"]'), "history_start"),
+        ("history_by = ", ('"steps"', "true", '["step"]'), "history_by"),
+        ("scale_first = ", ('"true"', "[true]"), "scale_first"),
+        ("action = ", ('"action"', '["actions"]', "0"), "output"),
+        ("clip = ", ('"x"', "[1.0, 2.0]", "nan"), "clip"),
+        ("target_clip = ", ("1.0", "[1.0, 2.0]", "[[1.0]]"), "target_clip|facts"),
+        (f"{term}2\nnewest_first = ", ("1", '"true"'), "newest_first"),
+        (f"{term}2\nclip = ", ("1.0", "[1.0]", '["a", "b"]', "[[1.0, 2.0], 3.0]"), "limit|facts"),
     ):
         for wrong in values:
             path.with_suffix(".toml").write_text(f"{told}{wrong}\n")
@@ -143,16 +177,64 @@ def test_histories_of_a_deploy_yaml(deployed):
     term = {"base_ang_vel": {"scale": [0.2] * 3, "clip": None, "history_length": 2}}
     contract = contract_of(deployed(6, {"use_gym_history": False, "scale_first": True} | term))
     assert [(one.size, one.history) for one in contract.terms] == [(6, 2)]
-    with pytest.raises(ConfigError, match="use_gym_history"):
-        contract_of(deployed(6, {"use_gym_history": True} | term))
 
 
-def test_limits_of_a_single_term_are_refused(deployed):
-    path = deployed(6, {"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}})
-    with pytest.raises(ConfigError, match="base_ang_vel"):
-        contract_of(path)
-    path.with_suffix(".toml").write_text('[[terms]]\nname = "base_ang_vel"\nhistory = 2\n')
-    assert contract_of(path).terms[0].history == 2
+def observed(contract, rates):
+    """Observations of gyroscopes whose three values are alike."""
+    observer, zero, pose = Observer(contract), np.zeros(29), Pose(np.zeros(3), UPRIGHT)
+    states = [RobotState(zero, zero, UPRIGHT, np.full(3, one), zero[:3], pose) for one in rates]
+    return [observer.observe(one, ReferenceFrame(zero, zero, pose)) for one in states]
+
+
+@pytest.mark.parametrize(
+    ("by_step", "last"), [(False, [2, 2, 2, 3, 3, 3, -2, -3]), (True, [2, 2, 2, -2, 3, 3, 3, -3])]
+)
+def test_histories_are_by_term_or_by_step(deployed, by_step, last):
+    """Of a gyroscope, and of the height of the gravity vector, which follows it here."""
+    rate = {"base_ang_vel": {"history_length": 2}, "command_ang_vel": {"history_length": 2}}
+    contract = contract_of(deployed(8, {"use_gym_history": by_step} | rate))
+    *_, found = observed(contract, [1.0, 2.0, 3.0])
+    assert found.tolist() == [max(0, one) for one in last]
+    assert sum(term.size for term in contract.terms) == 8
+
+
+def test_histories_of_a_toml_file_without_the_present_and_with_the_newest_step_first(policy):
+    path = policy(width=12)
+    path.with_suffix(".toml").write_text(
+        'history_start = "zeros"\n[[terms]]\nname = "base_ang_vel"\n[[terms]]\nname = "past"\n'
+        'formula = "base_ang_vel"\nhistory = 3\nbehind = 1\nnewest_first = true\n'
+    )
+    contract = contract_of(path)
+    assert [term.name for term in contract.terms] == ["base_ang_vel", "base_ang_vel.2"]
+    found = observed(contract, [1.0, 2.0, 3.0])
+    assert [one[::3].tolist() for one in found] == [[1, 0, 0, 0], [2, 1, 0, 0], [3, 2, 1, 0]]
+    copy = path.rename(path.with_name("copy.onnx"))
+    copy.with_suffix(".toml").write_text(contract.toml())
+    again = observed(contract_of(copy), [1.0, 2.0, 3.0])
+    assert [one.tolist() for one in again] == [one.tolist() for one in found]
+
+
+@pytest.mark.parametrize(("scale_first", "most"), [(False, 0.2), (True, 1.0)])
+def test_limits_of_a_term_are_before_or_after_its_scale(deployed, scale_first, most):
+    term = {"base_ang_vel": {"scale": [0.2] * 3, "clip": [-1.0, 1.0]}}
+    contract = contract_of(deployed(3, {"scale_first": scale_first} | term))
+    first, second = observed(contract, [0.5, -100.0])
+    assert (first[0], second[0]) == (pytest.approx(0.1), pytest.approx(-most))
+
+
+def test_metadata_of_mjlab_from_1_3_on(policy):
+    """Lists by term, where a list in a list has semicolons, as its exporter writes them."""
+    told = {
+        "observation_terms_scale": "1.0,1.0,0.25;0.5;1.0,1.0,0.05,1.0",
+        "observation_terms_clip": "-inf;inf,-inf;inf,-2.0;4.0,-inf;inf,-inf;inf,-inf;inf",
+        "observation_terms_history_length": "0,0,2,0,0,0",
+        "observation_terms_flatten_history_dim": "True,True,True,True,True,True",
+    }
+    terms = {term.name: term for term in contract_of(policy(told, width=157)).terms}
+    rate = terms["base_ang_vel"]
+    assert (rate.scale, rate.history, rate.size) == ([0.25, 0.5, 1.0], 2, 6)
+    assert rate.clip == [[-0.5, -1.0, -2.0], [1.0, 2.0, 4.0]]
+    assert (terms["joint_vel_rel"].scale, terms["joint_vel_rel"].clip) == ([0.05], None)
 
 
 HOLOSOMA = {
@@ -191,6 +273,63 @@ def test_metadata_of_holosoma(policy):
     assert contract.default_pos == [0.2] * 29
 
 
+def test_metadata_of_holosoma_0_0_3(policy):
+    """Scales of the action by joint, and the terms in the order of a list."""
+    layout = [
+        {"group": "a", "name": "dof_vel", "dim": 29, "history_length": 1, "scale": 0.05},
+        {"group": "b", "name": "actions", "dim": 29, "history_length": 3, "clip": [-1.0, 1.0]},
+    ]
+    told = HOLOSOMA | {
+        "experiment_config": json.dumps(TRAINING),
+        "action_scale": json.dumps([0.01 * joint for joint in range(29)]),
+        "observation_layout": json.dumps(layout),
+        "observation_clip": "50.0",
+    }
+    contract = contract_of(policy(only=told, width=116))
+    assert [(one.named, one.size, one.scale) for one in contract.terms] == [
+        ("dof_vel", 29, [0.05]),
+        ("actions", 87, [1.0]),
+    ]
+    assert contract.terms[1].clip == [[-1.0], [1.0]]
+    assert contract.action_scale == [0.01 * joint for joint in range(29)]
+    assert (contract.clip, contract.history_start) == (50.0, "zeros")
+
+
+def test_joints_without_an_action_are_held(policy):
+    names = [name for name in JOINT_NAMES if "wrist" not in name]
+    path = policy(
+        {"joint_names": ",".join(names)} | dict.fromkeys(BY_JOINT), n_actions=23, width=49
+    )
+    path.with_suffix(".toml").write_text(
+        "kp = 100.0\nkd = 2.0\nheld_kp = 40.0\nheld_kd = 1.0\ndefault_pos = 0.1\n"
+        'held_pos = { "*" = 0.0, "left_wrist_roll_joint" = 0.5 }\naction_scale = 0.25\n'
+        "action_clip = 2.0\naction_smoothing = 0.5\n"
+        'terms = [{ name = "dof_pos" }, { name = "actions" }, { name = "base_ang_vel" }]\n'
+    )
+    contract = contract_of(path)
+    assert [term.size for term in contract.terms] == [23, 23, 3]
+    wrists = [i for i, name in enumerate(JOINT_NAMES) if "wrist" in name]
+    targets = Observer(contract).act(np.full(23, 10.0))
+    assert targets[wrists].tolist() == [0.5, 0, 0, 0, 0, 0]
+    assert np.delete(targets, wrists) == pytest.approx(np.full(23, 0.1 + 0.25 * 2.0))
+    gains = PolicyTargets(Config(stream={"policy": str(path)}), G1.default()).traits.gains
+    assert (gains.kp[wrists].tolist(), gains.kd[wrists].tolist()) == ([40.0] * 6, [1.0] * 6)
+    assert np.delete(gains.kp, wrists).tolist() == [100.0] * 23
+
+
+def test_an_output_of_another_name_is_the_action(policy):
+    path = policy()
+    model = onnx.load(path)
+    model.graph.output.insert(0, onnx.helper.make_tensor_value_info("obs", 1, [1, 154]))
+    onnx.save(model, path)
+    with pytest.raises(ConfigError, match="154 values"):
+        contract_of(path)
+    path.with_suffix(".toml").write_text('action = "actions"\n')
+    contract = contract_of(path)
+    assert contract.action == "actions"
+    assert Network(path).act(np.ones(154), output="actions") == pytest.approx(np.full(29, 1.54))
+
+
 NAMES, HISTORIES = "observation_names", "observation_history_lengths"
 #: What is named, the metadata, and the shape of the network.
 WRONG = [
@@ -216,6 +355,7 @@ WRONG = [
     ("history: joint_pos 3", {HISTORIES: "1,1,1,5,1,1"}, {"width": 212}),
     ("1025 values", {}, {"width": 1025}),
     ("several times: motion, motion", {NAMES: "command,motion"}, {}),
+    ("limit of", {"observation_terms_clip": "-1,-1,-1,-1,-1,-1"}, {}),
     ("my.own", {}, {"domain": "my.own"}),
     ("width", {}, {"declared": "any"}),
 ]
@@ -227,6 +367,52 @@ def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, nam
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert named in said
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "named"),
+    [
+        ([("obs", 200)], [("action", 23)], "23 actions"),
+        ([("obs", 1432)], [("action", 29)], "1432 values"),
+        ([("obs", 623)], [("policy", 623), ("action", 29)], 'action = "action"'),
+        ([("obs", 655), ("hx", 128)], [("next_hx", 655), ("action", 29)], "hx (1, 128)"),
+        ([("obs", 50)], [("token", 64)], "64 values"),
+    ],
+)
+def test_what_cannot_be_played_is_said_before_facts_are_asked_for(
+    tmp_path, capsys, inputs, outputs, named
+):
+    path = saved(tmp_path / "policy.onnx", inputs, outputs)
+    assert main(["policy", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert "default_pos" not in said
+
+
+@pytest.mark.parametrize("given", ["encoder", "decoder"])
+def test_an_encoder_beside_a_decoder_is_said_to_be_one_of_two_networks(tmp_path, capsys, given):
+    for name, (takes, gives) in {"encoder": (500, 64), "decoder": (200, 29)}.items():
+        saved(tmp_path / f"g1_{name}.onnx", [("obs", takes)], [("out", gives)])
+    assert main(["policy", str(tmp_path / f"g1_{given}.onnx")]) == 2
+    said = capsys.readouterr().err
+    assert "g1_encoder.onnx" in said
+    assert "g1_decoder.onnx" in said
+    assert "default_pos" not in said
+
+
+def test_a_network_of_the_sizes_of_pbhc_is_of_its_family(tmp_path):
+    """Its terms and their order are those of its published config.yaml, sorted by name."""
+    path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])
+    contract = contract_of(path)
+    present = {"actions": 23, "base_ang_vel": 3, "dof_pos": 23, "dof_vel": 23}
+    later = {"projected_gravity": 3, "ref_motion_phase": 1}
+    sizes = [*present.values(), *(4 * one for one in (present | later).values()), *later.values()]
+    assert [term.size for term in contract.terms] == sizes
+    assert contract.reference == "a motion"
+    held = set(JOINT_NAMES) - set(contract.joint_names)
+    assert {name.split("_", 1)[1] for name in held} == {
+        f"wrist_{axis}_joint" for axis in ("roll", "pitch", "yaw")
+    }
 
 
 @pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x08" * 100])

@@ -21,7 +21,7 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul, tilt_of, yaw_of
 from g1stream.robot.soles import Soles
 from g1stream.types import Phase
-from known_policies import DANCE, POLICIES, needs_policies
+from known_policies import DANCE, POLICIES, needs_policies, saved
 
 ROBOT = G1.default()
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -349,3 +349,52 @@ def test_a_policy_that_asks_for_the_base_walks_with_leg_odometry():
     walked = (session.base.time > playing.start_s) & (session.base.time < playing.start_s + 4.0)
     assert session.base.position[walked, 2].min() > 0.6
     assert np.ptp(session.base.position[walked, 0]) > 1.0
+
+
+@needs_policies
+def test_a_scale_in_the_metadata_of_mjlab_is_applied(tmp_path):
+    """A network that multiplies the gyroscope by 4, behind a scale of 1/4, is the same policy."""
+    source, path = POLICIES / "beyondmimic_29dof.onnx", tmp_path / "scaled.onnx"
+    model = onnx.load(source)
+    told = {one.key: one.value for one in model.metadata_props}
+    names = told["observation_names"].split(",")
+    terms = read_contract(Network(source), ROBOT).terms
+    at, size = names.index("base_ang_vel"), 3
+    factor = np.ones((1, 160), np.float32)
+    begin = sum(term.size for term in terms[:at])
+    factor[0, begin : begin + size] = 4.0
+    model.graph.initializer.append(onnx.numpy_helper.from_array(factor, "factor"))
+    for node in model.graph.node:
+        node.input[:] = ["unscaled" if one == "obs" else one for one in node.input]
+    model.graph.node.insert(0, onnx.helper.make_node("Mul", ["obs", "factor"], ["unscaled"]))
+    del told["observation_history_lengths"]
+    told |= {
+        "observation_terms_scale": ",".join("0.250" if i == at else "1.000" for i in range(8)),
+        "observation_terms_clip": ",".join(["-inf;inf"] * 8),
+        "observation_terms_history_length": ",".join(["0.000"] * 8),
+    }
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, told)
+    onnx.save(model, path)
+    played = [g1stream.rollout(policy=one, seconds=2.0) for one in (source, path)]
+    np.testing.assert_array_equal(played[0].measured.q, played[1].measured.q)
+    np.testing.assert_array_equal(played[0].policy.action, played[1].policy.action)
+    assert len(played[0].policy) > 100
+
+
+@pytest.mark.parametrize(("start", "duration"), [(0.0, None), (2.0, 5.0)])
+def test_the_phase_is_that_of_the_whole_motion_without_the_standing(
+    tmp_path, target, start, duration
+):
+    """PBHC observes the share of its motion that has passed; the bundled motion takes 14 s."""
+    path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])
+    stream = {"policy": str(path), "stand": 0.5, "beyond_limits": "anyway"}
+    part = {"start": start} | ({"duration": duration} if duration else {})
+    source = PolicyTargets(load_config(over={"stream": stream | part}), ROBOT)
+    changed, _ = source.prepare(g1stream.load_motion("demo"))
+    length = duration or 14.0
+    assert changed.duration == pytest.approx(0.5 + 1.0 + length + 1.0, abs=0.1)
+    times = np.array([0.0, 1.5, 1.5 + 0.25 * length, 1.5 + length, changed.duration])
+    phases = [source._reference(target._replace(motion_time=one)).phase for one in times]
+    passed = start + length * np.array([0.0, 0.0, 0.25, 1.0, 1.0])
+    assert phases == pytest.approx(passed / 14.0, abs=1e-6)

@@ -1,76 +1,61 @@
 """A policy's contract: its inputs and outputs, and the source of each fact.
 
-A fact comes from the first of these sources that has it: a TOML file beside the policy, the
-metadata of the ONNX file (whole_body_tracking and mjlab; holosoma), Unitree's deploy.yaml beside
-it. If none has it, an error shows the line to write to the TOML file; docs/policy.md lists them.
+A fact comes from the first of the sources of `families.py` that has it. If none has it, an error
+shows the line to write to the TOML file; docs/policy.md lists them.
 """
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import combinations
-from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import ValidationError
 
-from g1stream.config import read_toml
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
+from g1stream.extras.policy.families import TABLE, TERM_KEYS, as_list, beside, sources
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import ALIASES, TERMS
-from g1stream.files import read_file
-from g1stream.input_limits import SETTINGS_FILE, check_integers
+from g1stream.extras.policy.observation import TERMS
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, listed, table
 from g1stream.types import Floats
 
-__all__ = ["RATE_ASSUMED", "PolicyContract", "Term", "read_contract", "recorded_contract"]
-
-RATE_ASSUMED: Final = "assumed: default of whole_body_tracking and mjlab"
-"""Origin of the rate if no file has it."""
+__all__ = ["PolicyContract", "Term", "read_contract", "recorded_contract"]
 
 _LABEL: Final = 16
-#: Larger values are an error: N·m/rad, N·m·s/rad, and rad for an action of 1.
-_MOST: Final = {"kp": 500.0, "kd": 50.0, "action_scale": 5.0}
 #: The line to write for a missing fact.
-_LINES: Final = {
-    "rate": "rate = 50.0",
-    "joint_names": 'joint_names = ["left_hip_pitch_joint", ...]',
-    "default_pos": 'default_pos = { "*_knee_joint" = 0.3, ... }',
-    "action_scale": 'action_scale = { "*" = 0.25 }',
-    "kp": 'kp = { "*_knee_joint" = 99.1, ... }',
-    "kd": 'kd = { "*_knee_joint" = 6.3, ... }',
-    "terms": '[[terms]] with name = "base_ang_vel", and scale and history where they are not 1',
-    "anchor": 'anchor = "torso_link"',
-}
-#: Facts with a default: no limit, no lag, and a history that is filled with the first step.
-_OPTIONAL: Final = ("clip", "lag", "history_start")
+_LINES: Final[dict[str, str]] = TABLE["lines"]
+#: Facts with a default; it is "" for none.
+_OPTIONAL: Final[dict[str, Any]] = TABLE["optional"]
 #: What stands in a history for the steps before the first one, in words.
 _HISTORY_STARTS: Final = {"first step": "the first step repeated", "zeros": "zeros"}
-#: Keys beside the terms in a deploy.yaml.
-_BESIDE_TERMS: Final = ("use_gym_history", "scale_first")
-#: Keys of a term in a TOML file.
-_TERM_KEYS: Final = ("name", "scale", "history")
-#: Most steps in the history of a term.
-_MOST_STEPS: Final = 100
+#: Facts with a value for each joint that has an action, and for each joint.
+_BY_ACTION: Final = ("default_pos", "action_offset", "action_scale", "kp", "kd")
+#: JSON has no infinite numbers.
+_INFINITE: Final = 1e30
+_HELD: Final = ("held_pos", "held_kp", "held_kd")
 
 
 class Term(Record, frozen=True):
     """A part of the observation.
 
     Attributes:
-        name: name in `TERMS`.
+        name: name in the session: the formula, with a number behind it if several terms have it.
         named: name in the file.
         size: number of values, of all steps.
-        history: number of steps, the oldest first.
+        history: number of steps.
+        behind: steps by which the newest of them is behind the present one.
+        newest_first: whether the newest step comes first.
         scale: factor for all values, or one for each value of a step.
+        clip: lowest and highest scaled value, each for all or for each value of a step; None
+            without limits.
         formula: formula in words, including the frame.
     """
 
@@ -78,25 +63,43 @@ class Term(Record, frozen=True):
     named: str
     size: int
     history: int = 1
+    behind: int = 0
+    newest_first: bool = False
     scale: list[float]
+    clip: list[list[float]] | None = None
     formula: str
+
+    @property
+    def value(self) -> str:
+        """Name of the formula in `TERMS`."""
+        return self.name.partition(".")[0]
 
 
 class PolicyContract(Record, frozen=True):
     """The inputs and outputs of a policy. Arrays are in the policy's joint order, `joint_names`.
 
-    A target is `default_pos + action_scale * action`, rad, with `kp`, N·m/rad, and `kd`,
-    N·m·s/rad.
+    A target is `action_offset + action_scale * action`, rad, with `kp`, N·m/rad, and `kd`,
+    N·m·s/rad. A joint without an action is held.
 
     Attributes:
         path: path of the ONNX file.
         rate: steps per second.
+        joint_names: the joints with an action.
+        default_pos: pose to which observed joint positions are relative, rad.
+        action: output that is the action; the first one if empty.
+        action_offset: targets of an action of 0, rad; `default_pos` if None.
+        action_clip: largest magnitude of an action; None without a limit.
+        action_smoothing: share of the smoothed action before in the next one.
+        target_clip: lowest and highest target by joint, (joints, 2) rad; None without limits.
+        held_pos, held_kp, held_kd: (29,) for joints without an action, motor order; None without
+            such joints.
         terms: terms of the observation, in order.
         clip: largest magnitude of a value of the observation; None without a limit.
         anchor: link whose attitude is compared with the reference's; None if no term needs it.
         reference: source of the tracked motion: the network itself, a given motion, or none.
         lag: number of steps by which the observed reference is behind the current one.
         history_start: what stands in a history for the steps before the first one.
+        assumed: fields that no file has.
         origin: source of each field.
     """
 
@@ -104,36 +107,72 @@ class PolicyContract(Record, frozen=True):
     rate: float
     joint_names: list[str]
     default_pos: list[float]
+    action: str = ""
+    action_offset: list[float] | None = None
     action_scale: list[float]
+    action_clip: float | None = None
+    action_smoothing: float = 0.0
+    target_clip: list[list[float]] | None = None
     kp: list[float]
     kd: list[float]
+    held_pos: list[float] | None = None
+    held_kp: list[float] | None = None
+    held_kd: list[float] | None = None
     terms: list[Term]
     clip: float | None
     anchor: str | None
     reference: Literal["in the policy", "a motion", "none"]
     lag: int
     history_start: Literal["first step", "zeros"] = "first step"
+    assumed: tuple[str, ...] = ()
     origin: dict[str, str]
 
     @property
     def remembers(self) -> bool:
         """Whether an observation has values of earlier steps, besides the last action."""
-        return self.lag > 0 or any(term.history > 1 for term in self.terms)
+        return self.lag > 0 or any(one.history + one.behind > 1 for one in self.terms)
 
     @property
     def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """Motor index of each of the policy's joints, (29,)."""
+        """Motor index of each of the policy's joints, (joints,)."""
         return np.array([JOINT_NAMES.index(name) for name in self.joint_names])
 
-    def in_motor_order(self, values: Sequence[float] | Floats) -> Floats:
-        """Values of the policy's joints (29,) in motor order."""
-        ordered = np.empty(N_JOINTS)
+    def in_motor_order(
+        self, values: Sequence[float] | Floats, held: Sequence[float] | None = None
+    ) -> Floats:
+        """Values of the policy's joints (joints,) in motor order (29,); the others are `held`."""
+        ordered = np.array(held or [0.0] * N_JOINTS)
         ordered[self.order] = values
         return ordered
 
+    def targets(self, action: Floats) -> Floats:
+        """Targets (29,), rad, in motor order, of an action (joints,)."""
+        if self.action_clip is not None:
+            action = np.clip(action, -self.action_clip, self.action_clip)
+        offset = np.array(self.action_offset or self.default_pos)
+        targets = offset + np.array(self.action_scale) * action
+        if self.target_clip is not None:
+            targets = np.clip(targets, *np.transpose(self.target_clip))
+        return self.in_motor_order(targets, self.held_pos)
+
+    def toml(self) -> str:
+        """The facts as the text of a TOML file, which may serve another policy."""
+        facts = self.model_dump(include={*_LINES, *_OPTIONAL} - {"terms"}) | {"scale_first": True}
+        for names, keys in ((self.joint_names, _BY_ACTION), (JOINT_NAMES, _HELD)):
+            for key in keys:
+                facts[key] = dict(zip(names, facts[key], strict=True)) if facts[key] else None
+        lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "")]
+        for term in self.terms:
+            told = term.model_dump() | {"formula": term.value}
+            pairs = ((key, told[key]) for key in TERM_KEYS if told[key] is not None)
+            lines += ["", "[[terms]]", *(f"{key} = {_toml(one)}" for key, one in pairs)]
+        return "\n".join(lines)
+
     def __str__(self) -> str:
         width = sum(term.size for term in self.terms)
-        isaac = "motor order" if self.joint_names == list(JOINT_NAMES) else "another order"
+        past = [one.newest_first for one in self.terms if one.history + one.behind > 1]
+        orders = [f"the {'newest' if newest else 'oldest'}" for newest in dict.fromkeys(past)]
+        in_order = self.order.tolist() == sorted(self.order)
         facts = {
             "policy": self.path,
             "rate": f"{self.rate:g} Hz",
@@ -143,14 +182,15 @@ class PolicyContract(Record, frozen=True):
                 "none": "no motion: it follows a commanded velocity, or stands",
             }[self.reference]
             + (f", {counted(self.lag, 'step')} behind" if self.lag else ""),
-            "joints": f"{len(self.joint_names)}, {isaac}",
+            "joints": f"{len(self.joint_names)}, {'motor' if in_order else 'another'} order",
             "anchor": self.anchor or "",
             "observation": f"{counted(width, 'value')}"
             + (f", clipped to +-{self.clip:g}" if self.clip else ""),
-            "history": "the oldest step first; steps before the first one: "
-            + _HISTORY_STARTS[self.history_start]
-            if any(term.history > 1 for term in self.terms)
+            "history": " and ".join(orders)
+            + f" step first; steps before the first one: {_HISTORY_STARTS[self.history_start]}"
+            if orders
             else "",
+            "action": f"the output {self.action}" if self.action else "",
         }
         lines = [labelled(f"{k:<{_LABEL}}", v) for k, v in facts.items() if v]
         rows = [["term", "size", "scale", "formula"]]
@@ -171,13 +211,6 @@ class PolicyContract(Record, frozen=True):
         return "\n".join(lines)
 
 
-class _Facts(NamedTuple):
-    """Values by the names of `PolicyContract`, and their source."""
-
-    where: str
-    values: dict[str, Any]
-
-
 def recorded_contract(info: PolicyInfo | None) -> PolicyContract | None:
     """The contract in a session; None if it has no readable one."""
     try:
@@ -194,322 +227,195 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         robot: robot whose limits the default pose must keep; the default one if None.
 
     Raises:
-        ConfigError: a fact is missing or wrong, or facts contradict each other.
+        ConfigError: the network cannot be played, a fact is missing or wrong, or facts contradict
+            each other.
     """
     path, robot = network.path, robot or G1.default()
     values: dict[str, Any] = {}
     origin: dict[str, str] = {}
-    for facts in _sources(network):
+    assumed: list[str] = []
+    for facts in sources(network):
         for name, value in facts.values.items():
             if value is not None and name not in values:
                 values[name], origin[name] = value, facts.where
+                assumed += [name] * facts.assumed
     where = f"the policy {path}"
-    terms = [_term(one, where) for one in values.get("terms", [])]
-    counts = Counter(term.name for term in terms)
-    if twice := [term.named for term in terms if counts[term.name] > 1]:
+    _check_playable(network, values, where)
+    names = [str(name) for name in as_list(values.get("joint_names", list(JOINT_NAMES)))]
+    values = {name: one for name, one in _OPTIONAL.items() if one != ""} | values
+    for name, choices in TABLE["choices"].items():
+        if values[name] not in choices:
+            raise _wrong(name, values[name], where, " or ".join(map(repr, choices)))
+    terms = _terms(values, len(names), where)
+    uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
+    missing = [one for one in _LINES if one not in values and (one != "anchor" or uses_anchor)]
+    if missing:
+        raise ConfigError(
+            f"Facts of {where} are missing: {', '.join(missing)}.",
+            f"Write to {beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
+        )
+    _check_joints(names, network.outputs[values.get("action", network.first)], where)
+    arrays: dict[str, Any] = {
+        name: _joint_values(values.get(name, values["default_pos"]), names, name, where)
+        for name in _BY_ACTION
+    }
+    if len(names) < N_JOINTS:
+        for name in _HELD:
+            given = values.get(name, values.get(name.removeprefix("held_")))
+            arrays[name] = _joint_values(given, list(JOINT_NAMES), name, where)
+    if (limits := values.get("target_clip")) is not None:
+        sides = [[*one] for one in zip(*limits, strict=True)]
+        lows, highs = (_joint_values(one, names, "target_clip", where) for one in sides)
+        arrays["target_clip"] = [[*one] for one in zip(lows, highs, strict=True)]
+    _check_pose(arrays["default_pos"], names, robot, where)
+    _check_width(terms, network, where)
+    tracks = any(term.name.startswith("motion_") for term in terms)
+    if uses_anchor and values["anchor"] not in robot.link_names:
+        raise _wrong("anchor", values["anchor"], where, "a link of the robot, such as torso_link")
+    numbers = {
+        name: _number(values[name], name, where) or None
+        for name in ("clip", "action_clip")
+        if name in values
+    }
+    return PolicyContract(
+        path=str(path),
+        rate=_number(values["rate"], "rate", where),
+        joint_names=names,
+        terms=terms,
+        anchor=str(values["anchor"]) if uses_anchor else None,
+        action=values.get("action", ""),
+        action_smoothing=_number(values["action_smoothing"], "action_smoothing", where),
+        reference=("in the policy" if network.holds_motion else "a motion") if tracks else "none",
+        lag=_steps(values["lag"], "lag", where) if tracks else 0,
+        history_start=values["history_start"],
+        assumed=tuple(assumed),
+        origin={name: one for name, one in origin.items() if name != "anchor" or uses_anchor},
+        **{"clip": None} | numbers | arrays,
+    )
+
+
+def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> None:
+    """Refuse a network that cannot be played at all, or of which nothing is known."""
+    action = str(values.get("action", network.first))
+    most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)
+    for kind, other in (("decoder", "encoder"), ("encoder", "decoder")):
+        second = network.path.with_name(network.path.name.replace(kind, other))
+        if second != network.path and second.exists() and "terms" not in values:
+            raise ConfigError(
+                f"{where[0].upper()}{where[1:]} is one of two networks, an encoder and a decoder "
+                f"({second.name}).",
+                "Export both as one network, or run them in their own program and record that: "
+                "`g1stream record`.",
+            )
+    if not 0 < n_actions <= N_JOINTS:
+        found = [name for name, size in network.outputs.items() if 0 < size <= N_JOINTS]
+        raise ConfigError(
+            f"The output {action} of {where} is no action: it has {counted(n_actions, 'value')}.",
+            f'Write to {beside(network.path)}: action = "{found[-1]}".'
+            if found
+            else "Export the actor so that its first output is the action (1, joints).",
+        )
+    if network.width > most:
+        raise ConfigError(
+            f"The network of {where} takes {network.width} values, but a step that is recorded "
+            f"has room for {most}.",
+            "Run it in its own program and record that: `g1stream record`.",
+        )
+    if n_actions < N_JOINTS and "joint_names" not in values:
+        raise ConfigError(
+            f"{where[0].upper()}{where[1:]} has {n_actions} actions for {network.width} values, "
+            "and no known family: its joints and terms are in no file.",
+            f"Write all facts to {beside(network.path)}; `g1stream policy holosoma --toml` prints "
+            "those of another policy.",
+        )
+
+
+def _terms(values: Mapping[str, Any], n_joints: int, where: str) -> list[Term]:
+    """The terms of an observation. Of several with one formula, older values get a number."""
+    given = [{"name": one.get("formula")} | one for one in values.get("terms") or []]
+    named = [str(one["name"]) for one in given]
+    if twice := [name for name in named if named.count(name) > 1]:
         raise ConfigError(
             f"The observation of {where} has one term several times: {listed(twice)}.",
             "Give each term once, with its history if it has one.",
         )
-    uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
-    needed = [name for name in _LINES if name != "anchor" or uses_anchor]
-    missing = [name for name in needed if name not in values]
-    if missing:
-        raise ConfigError(
-            f"Facts of {where} are missing: {', '.join(missing)}.",
-            f"Write to {_beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
-        )
-    named = values["joint_names"]
-    names = [str(name) for name in (named if isinstance(named, list) else [named])]
-    _check_joints(names, network, where)
-    arrays = {
-        name: _joint_values(values[name], names, name, where)
-        for name in ("default_pos", "action_scale", "kp", "kd")
-    }
-    _check_ranges(arrays, names, robot, where)
-    _check_width(terms, network, where)
-    rate = _number(values["rate"], "rate", where)
-    if not 1.0 <= rate <= 1000.0:
-        raise _wrong("rate", rate, where, "between 1 and 1000 Hz")
-    tracks = any(term.name.startswith("motion_") for term in terms)
-    holds = network.steps and {"joint_pos", "joint_vel"} <= set(network.outputs)
-    if uses_anchor and values["anchor"] not in robot.link_names:
-        raise _wrong("anchor", values["anchor"], where, "a link of the robot, such as torso_link")
-    clip, lag = (_number(values.get(name, 0), name, where) for name in ("clip", "lag"))
-    if clip < 0.0 or lag not in range(10):
-        raise _wrong("clip, lag", f"{clip:g}, {lag:g}", where, "at least 0, and 0 to 9")
-    history_start = values.get("history_start", "first step")
-    if str(history_start) not in _HISTORY_STARTS:
-        raise _wrong("history_start", history_start, where, " or ".join(map(repr, _HISTORY_STARTS)))
-    return PolicyContract(
-        path=str(path),
-        rate=rate,
-        joint_names=names,
-        terms=terms,
-        clip=clip or None,
-        anchor=str(values["anchor"]) if uses_anchor else None,
-        reference=("in the policy" if holds else "a motion") if tracks else "none",
-        lag=int(lag) if tracks else 0,
-        history_start=history_start,
-        origin={name: one for name, one in origin.items() if name != "anchor" or uses_anchor},
-        **{name: value.tolist() for name, value in arrays.items()},
-    )
+    if values["history_by"] == "step":
+        longest = max([_steps(one.get("history", 1), "history", where) for one in given], default=1)
+        steps = range(longest)[::-1]
+        given = [one | {"history": 1, "behind": step} for step in steps for one in given]
+    terms = [_term(one, n_joints, where, scale_first=values["scale_first"]) for one in given]
+    counts = Counter[str]()
+    for at in sorted(range(len(terms)), key=lambda at: terms[at].behind):
+        counts[name := terms[at].name] += 1
+        if counts[name] > 1:
+            terms[at] = terms[at].model_copy(update={"name": f"{name}.{counts[name]}"})
+    return terms
 
 
-def _beside(path: Path) -> Path:
-    return path.with_suffix(".toml")
-
-
-def _sources(network: Network) -> Iterator[_Facts]:
-    """The facts of each source, in order of priority."""
-    own, told = _beside(network.path), "metadata of the ONNX file"
-    if own.exists():
-        yield _facts(str(own), lambda: _of_toml(own))
-    if "observation_names" in network.metadata:
-        yield _facts(told, lambda: _of_tracking(network.metadata))
-        yield _Facts(RATE_ASSUMED, {"rate": 50.0})
-    elif "dof_names" in network.metadata:
-        yield _facts(told, lambda: _of_holosoma(network.metadata))
-    deploy = network.path.with_name("deploy.yaml")
-    if deploy.exists():
-        yield _facts(str(deploy), lambda: _of_deploy(deploy))
-        yield _Facts("assumed: default of Unitree's runner", {"anchor": "torso_link"})
-
-
-def _facts(where: str, read: Callable[[], dict[str, Any]]) -> _Facts:
-    """The facts that a reader finds in a source, which may have any content."""
-    try:
-        return _Facts(where, read())
-    except (
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        RecursionError,
-        TypeError,
-        ValueError,
-    ) as error:
-        raise ConfigError(
-            f"The facts of the policy cannot be read from {where}: {str(error)[:100]}.",
-            "Give the original file of the training, or write the facts to a TOML file beside it.",
-        ) from error
-
-
-def _of_toml(path: Path) -> dict[str, Any]:
-    values = read_toml(path, "policy file")
-    unknown = sorted(set(values) - set(_LINES) - set(_OPTIONAL))
-    if unknown:
-        raise ConfigError(
-            f"{path} has the unknown keys {listed(unknown)}.",
-            f"Choose from {', '.join([*_LINES, *_OPTIONAL])}.",
-        )
-    terms = values.get("terms")
-    if terms is not None:
-        if not (isinstance(terms, list) and all(isinstance(t, dict) for t in terms)):
-            raise ConfigError(
-                f"In {path}, terms is not a list of tables.", f"Write {_LINES['terms']}."
-            )
-        if extra := sorted({key for term in terms for key in term} - set(_TERM_KEYS)):
-            raise ConfigError(
-                f"A term in {path} has the unknown keys {listed(extra)}.",
-                f"Choose from {', '.join(_TERM_KEYS)}.",
-            )
-    return values
-
-
-def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Facts from whole_body_tracking and mjlab, in comma-separated lists."""
-
-    def split(key: str) -> list[str] | None:
-        return metadata[key].split(",") if metadata.get(key) else None
-
-    commands = split("command_names") or ["motion"]
-    names = split("observation_names") or []
-    lengths: list[Any] = split("observation_history_lengths") or ["1"] * len(names)
-    if len(lengths) == len(names):
-        lengths = [_history(one) for one in lengths]
-    else:  # which is refused
-        lengths = [f"{','.join(lengths)} for {len(names)} terms"] * len(names)
-    return {
-        "joint_names": split("joint_names"),
-        "default_pos": split("default_joint_pos"),
-        "action_scale": split("action_scale"),
-        "kp": split("joint_stiffness"),
-        "kd": split("joint_damping"),
-        "terms": [
-            {
-                "name": commands[0] if name == "command" else name,
-                "history": length,
-            }
-            for name, length in zip(names, lengths, strict=True)
-        ],
-        "anchor": metadata.get("anchor_body_name") or None,
-    }
-
-
-def _history(text: str) -> float | str:
-    """The steps of a term in metadata, where 0 means one; a text that is no number as it is."""
-    try:
-        return float(text) or 1.0
-    except ValueError:
-        return text
-
-
-def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Facts from holosoma: JSON values, and the training configuration if it is included.
-
-    The terms are sorted by name. If the configuration says so, an action of 1 moves a target by
-    `action_scale` times the deflection at which the servo reaches the joint's torque limit.
-    """
-    read = {key: _json(metadata.get(key)) for key in ("dof_names", "kp", "kd")}
-    facts: dict[str, Any] = {"joint_names": read["dof_names"], "kp": read["kp"], "kd": read["kd"]}
-    config = _json(metadata.get("experiment_config"))
-    if not isinstance(config, dict):
-        return facts
-    group = _at(config, "observation", "groups", "actor_obs")
-    terms = _at(group, "terms")
-    if isinstance(terms, dict):
-        history = _at(group, "history_length") or 1
-        facts["terms"] = [
-            _given(name, terms[name]) | {"history": history} for name in sorted(terms)
-        ]
-    # Its runner reads the reference of the next step after the observation.
-    facts |= {"lag": 1, "history_start": "zeros"}
-    facts["clip"] = _at(config, "observation", "clip_observations")
-    facts["default_pos"] = _at(config, "robot", "init_state", "default_joint_angles")
-    scale = _at(config, "robot", "control", "action_scale")
-    effort = _at(config, "robot", "dof_effort_limit_list")
-    if _at(config, "robot", "control", "action_scales_by_effort_limit_over_p_gain"):
-        known = all(isinstance(one, list) for one in (effort, read["kp"]))
-        facts["action_scale"] = (
-            [scale * e / p for e, p in zip(effort, read["kp"], strict=True)] if known else None
-        )
-    elif scale is not None:
-        facts["action_scale"] = {"*": scale}
-    fps = _at(config, "simulator", "config", "sim", "fps")
-    every = _at(config, "simulator", "config", "sim", "control_decimation")
-    facts["rate"] = fps / every if fps and every else None
-    motion = ("command", "setup_terms", "motion_command", "params", "motion_config")
-    facts["anchor"] = next(iter(_at(config, *motion, "body_name_ref") or []), None)
-    return facts
-
-
-def _of_deploy(path: Path) -> dict[str, Any]:
-    """Facts from Unitree's deploy.yaml, interpreted as in its C++ runner."""
-    import yaml
-
-    try:
-        values = yaml.safe_load(read_file(path, SETTINGS_FILE))
-        check_integers(values)
-    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(
-            f"{path} cannot be read: {' '.join(str(error).split())[:200]}.",
-            "Give the file as Unitree's training writes it, or remove it.",
-        ) from error
-    period = _at(values, "step_dt")
-    action = _at(values, "actions", "JointPositionAction")
-    observations = _at(values, "observations")
-    motors = _at(values, "joint_ids_map")
-    terms = None
-    if isinstance(observations, dict):
-        if observations.get("use_gym_history"):
-            raise ConfigError(
-                f"According to {path}, the policy observes all terms of a step before those of "
-                "the next (use_gym_history), which is not supported.",
-                "Give a policy that was trained without it.",
-            )
-        terms = [
-            _given(name, one) | {"history": _at(one, "history_length") or 1}
-            for name, one in observations.items()
-            if name not in _BESIDE_TERMS
-        ]
-    for key, usual in (("clip", None), ("joint_ids", [*range(N_JOINTS)])):
-        if _at(action, key) not in (None, usual):
-            raise ConfigError(
-                f"{path} has {key} for its actions (actions.JointPositionAction), which is not "
-                "supported.",
-                "Give a policy that was trained without it.",
-            )
-    known = isinstance(motors, list) and all(
-        isinstance(motor, int) and 0 <= motor < N_JOINTS for motor in motors
-    )
-    return {
-        "rate": 1.0 / period if isinstance(period, int | float) and period > 0 else None,
-        "joint_names": [JOINT_NAMES[motor] for motor in motors] if known else None,
-        "default_pos": _at(action, "offset") or _at(values, "default_joint_pos"),
-        "action_scale": _at(action, "scale"),
-        "kp": _in_order(_at(values, "stiffness"), motors),
-        "kd": _in_order(_at(values, "damping"), motors),
-        "terms": terms,
-    }
-
-
-def _in_order(values: Any, motors: Any) -> Any:
-    """Reorder values by motor to the policy's joints, because deploy.yaml has gains by motor."""
-    if isinstance(values, list) and isinstance(motors, list) and len(values) >= len(motors):
-        return [values[motor] for motor in motors]
-    return values
-
-
-def _json(text: str | None) -> Any:
-    return json.loads(text) if text else None
-
-
-def _at(values: Any, *keys: str) -> Any:
-    """The value at nested keys; None if there is none."""
-    for key in keys:
-        values = values.get(key) if isinstance(values, dict) else None
-    return values
-
-
-def _given(name: str, term: Any) -> dict[str, Any]:
-    """A term of a configuration as in a TOML file; with a clip, which `_term` refuses."""
-    found = {key: _at(term, key) for key in ("scale", "clip")}
-    return {"name": name} | {key: value for key, value in found.items() if value is not None}
-
-
-def _term(given: Mapping[str, Any], where: str) -> Term:
-    named = str(given.get("name", ""))
-    name = ALIASES.get(named, named)
+def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: bool) -> Term:
+    named = str(given["name"])
+    name = str(given.get("formula", TABLE["aliases"].get(named, named)))
     if name not in TERMS:
         raise ConfigError(
             f"The observation of {where} has the unknown term {named!r}.",
             f"Known terms are {', '.join(TERMS)}.",
         )
-    if "clip" in given:
-        raise ConfigError(
-            f"In {where}, the term {named} has limits of its own, which are not supported.",
-            "Write the terms, and clip for the whole observation, to a TOML file beside it.",
-        )
-    size, formula, _ = TERMS[name]
-    scale, history = given.get("scale", 1.0), given.get("history", 1)
-    values = scale if isinstance(scale, list) else [scale]
-    factors = [_number(value, f"scale of {named}", where) for value in values]
-    if len(factors) not in (1, size):
-        raise ConfigError(
-            f"In {where}, the term {named} has {counted(size, 'value')} but "
-            f"{counted(len(factors), 'scale')}.",
-            "Give one scale, or a scale for each value.",
-        )
-    if isinstance(history, bool) or history not in range(1, _MOST_STEPS + 1):
-        raise _wrong(f"history of {named}", history, where, f"a number from 1 to {_MOST_STEPS}")
+    size = TERMS[name].size + TERMS[name].by_joint * n_joints
+
+    def values(given: Any, what: str) -> Floats:
+        numbers = [
+            _number(one, f"{what} of {named}", where, finite=what != "limit")
+            for one in as_list(given)
+        ]
+        if len(numbers) not in (1, size):
+            raise ConfigError(
+                f"In {where}, the term {named} has {counted(size, 'value')} but "
+                f"{counted(len(numbers), what)}.",
+                f"Give one {what}, or a {what} for each value.",
+            )
+        return np.array(numbers)
+
+    scale, clip = values(given.get("scale", 1.0), "scale"), None
+    if given.get("clip") is not None:
+        low, high = given["clip"]
+        ends = [values(one, "limit") * (1.0 if scale_first else scale) for one in (low, high)]
+        clip = np.clip(np.sort(ends, axis=0), -_INFINITE, _INFINITE)
+    history = _steps(given.get("history", 1), f"history of {named}", where)
+    behind = _steps(given.get("behind", 0), f"behind of {named}", where)
+    newest_first = given.get("newest_first", False)
+    if not isinstance(newest_first, bool):
+        raise _wrong(f"newest_first of {named}", newest_first, where, "true or false")
     return Term(
         name=name,
         named=named,
-        size=size * int(history),
-        history=int(history),
-        scale=factors,
-        formula=formula,
+        size=size * history,
+        history=history,
+        behind=behind,
+        newest_first=newest_first,
+        scale=scale.tolist(),
+        clip=None if clip is None or np.abs(clip).min() >= _INFINITE else clip.tolist(),
+        formula=TERMS[name].formula + (f", {counted(behind, 'step')} before" if behind else ""),
     )
 
 
-def _number(value: Any, name: str, where: str) -> float:
+def _number(value: Any, name: str, where: str, *, finite: bool = True) -> float:
+    low, high = TABLE["ranges"].get(name.partition(" ")[0], (-np.inf, np.inf))
     try:
         number = float(value)
     except (OverflowError, TypeError, ValueError):
         number = np.nan
-    if not np.isfinite(number):
+    if np.isnan(number) or (finite and not np.isfinite(number)):
         raise _wrong(name, value, where, "a finite number")
+    if not low <= number <= high:
+        raise _wrong(name, f"{number:g}", where, f"{low:g} to {high:g}")
     return number
+
+
+def _steps(value: Any, name: str, where: str) -> int:
+    number = _number(value, name, where)
+    if isinstance(value, bool | str) or number % 1.0:
+        raise _wrong(name, value, where, "a number of steps")
+    return int(number)
 
 
 def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
@@ -519,107 +425,87 @@ def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
     )
 
 
-def _check_joints(names: list[str], network: Network, where: str) -> None:
+def _check_joints(names: list[str], n_actions: int, where: str) -> None:
     strange = [name for name in names if name not in JOINT_NAMES]
-    if strange:
+    if strange or len({*names}) != len(names) or len(names) != n_actions:
+        ours = f"names {counted(len({*names}), 'joint')} but has {counted(n_actions, 'action')}"
         raise ConfigError(
-            f"{where[0].upper()}{where[1:]} is for another robot: a G1 has no "
-            f"{listed(strange, 3)}.",
-            f"Give a policy for a G1 with {N_JOINTS} joints.",
-        )
-    if sorted(names) != sorted(JOINT_NAMES) or network.n_actions != N_JOINTS:
-        raise ConfigError(
-            f"{where[0].upper()}{where[1:]} names {counted(len(set(names)), 'joint')} but has "
-            f"{counted(network.n_actions, 'action')}.",
-            f"Give a policy with one action for each of the {N_JOINTS} joints of a G1.",
+            f"{where[0].upper()}{where[1:]} "
+            + (
+                f"is for another robot: a G1 has no {listed(strange, 3)}."
+                if strange
+                else f"{ours}."
+            ),
+            f"Give one action for each joint, and each of a G1's {N_JOINTS} joints at most once.",
         )
 
 
-def _joint_values(given: Any, names: list[str], what: str, where: str) -> Floats:
-    """A value for each of the policy's joints, from a list or a table of names and patterns."""
-    if isinstance(given, dict):
-        found = np.full(len(names), np.nan)
-        for pattern, value in given.items():
-            matching = [fnmatchcase(name, pattern) for name in names]
-            if not any(matching):
-                raise ConfigError(
-                    f"In {where}, {what} names {pattern}, which is not a joint.",
-                    'Give joint names, or patterns such as "*_knee_joint".',
-                )
-            found[matching] = _number(value, what, where)
-        if np.isnan(found).any():
-            lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
+def _joint_values(given: Any, names: list[str], what: str, where: str) -> list[float]:
+    """A value for each joint, from a list or a table of names and patterns."""
+    if not isinstance(given, dict):
+        values = as_list(given)
+        if len(values) not in (1, len(names)):
             raise ConfigError(
-                f"In {where}, {what} has no value for {listed(lacking, 3)}.",
-                'Give one, or a default for all others first: "*" = 0.0.',
+                f"In {where}, {what} has {counted(len(values), 'value')} for "
+                f"{counted(len(names), 'joint')}.",
+                f'Give one for each, or a table such as {what} = {{ "*" = 0.3 }}.',
             )
-        return found
-    values = given if isinstance(given, list) else [given]
-    if len(values) == 1:
-        values = values * len(names)
-    if len(values) != len(names):
+        given = dict(zip(names if len(values) > 1 else "*", values, strict=True))
+    found = np.full(len(names), np.nan)
+    for pattern, value in given.items():
+        matching = [fnmatchcase(name, pattern) for name in names]
+        if not any(matching):
+            raise ConfigError(
+                f"In {where}, {what} names {pattern}, which is not a joint.",
+                'Give joint names, or patterns such as "*_knee_joint".',
+            )
+        found[matching] = _number(value, f"{what} of {pattern}", where)
+    if np.isnan(found).any():
+        lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
         raise ConfigError(
-            f"In {where}, {what} has {counted(len(values), 'value')} for "
-            f"{counted(len(names), 'joint')}.",
-            f"Write to the TOML file beside it: {_LINES[what]}.",
+            f"In {where}, {what} has no value for {listed(lacking, 3)}.",
+            'Give one, or a default for all others first: "*" = 0.0.',
         )
-    return np.array([_number(value, what, where) for value in values])
+    return list(map(float, found))
 
 
-def _check_ranges(arrays: Mapping[str, Floats], names: list[str], robot: G1, where: str) -> None:
-    for what, most in _MOST.items():
-        lowest = -most if what == "action_scale" else 0.0
-        wrong = (arrays[what] < lowest) | (arrays[what] > most)
-        if wrong.any():
-            at = int(wrong.argmax())
-            value = f"{arrays[what][at]:g}"
-            raise _wrong(f"{what} of {names[at]}", value, where, f"{lowest:g} to {most:g}")
-    motors = [JOINT_NAMES.index(name) for name in names]
-    beyond = np.maximum(robot.lower[motors] - arrays["default_pos"], 0.0)
-    beyond = np.maximum(beyond, arrays["default_pos"] - robot.upper[motors])
-    if beyond.max() > 0.0:
-        worst = int(beyond.argmax())
-        low, high = robot.lower[motors[worst]], robot.upper[motors[worst]]
-        value = f"{arrays['default_pos'][worst]:g}"
-        valid = f"within the joint's limits, {low:.3f} to {high:.3f} rad"
-        raise _wrong(f"default_pos of {names[worst]}", value, where, valid)
+def _check_pose(pose: list[float], names: list[str], robot: G1, where: str) -> None:
+    for name, value in zip(names, pose, strict=True):
+        low, high = (limits[JOINT_NAMES.index(name)] for limits in (robot.lower, robot.upper))
+        if not low <= value <= high:
+            valid = f"within the joint's limits, {low:.3f} to {high:.3f} rad"
+            raise _wrong(f"default_pos of {name}", f"{value:g}", where, valid)
 
 
 def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
     """Raise if the width of the terms differs from the network's input; suggest terms."""
-    most = len(PolicyStep().observation)
-    if network.width > most:
-        raise ConfigError(
-            f"The network of {where} takes {network.width} values, but a step that is recorded "
-            f"has room for {most}.",
-            "Give a policy with a narrower observation.",
-        )
     total = sum(term.size for term in terms)
     if total == network.width:
         return
-    lacking = network.width - total
+    lacking, most = network.width - total, TABLE["ranges"]["history"][1]
     sizes = {term.name: term.size for term in terms}
     if lacking > 0:
-        sizes = {name: one.size for name, one in TERMS.items() if name not in sizes}
+        n = network.outputs[network.first]
+        sizes = {k: t.size + t.by_joint * n for k, t in TERMS.items() if k not in sizes}
+    some = [*combinations(sizes, 1), *combinations(sizes, 2)]
     fitting = [
-        " and ".join(some)
-        for number in (1, 2)
-        for some in combinations(sizes, number)
-        if sum(sizes[name] for name in some) == abs(lacking)
+        " and ".join(one) for one in some if sum(sizes[name] for name in one) == abs(lacking)
     ]
-    histories = []
-    for term in terms:
-        more, rest = divmod(lacking, term.size // term.history)
-        if not rest and 1 <= term.history + more <= _MOST_STEPS:
-            histories.append(f"{term.named} {term.history + more}")
-    steps, rest = divmod(network.width, total or network.width + 1)
-    if not rest and 1 < steps <= _MOST_STEPS:
-        histories.append(f"each term {steps} times as many")
+    longer = {one.named: (one.size + lacking) * one.history / one.size for one in terms}
+    steps = [f"{name} {n:g}" for name, n in longer.items() if n in range(1, int(most) + 1)]
+    if total and network.width / total in range(2, int(most) + 1):
+        steps.append(f"each term {network.width // total} times as many")
     guess = f" Terms as wide as the difference: {listed(fitting, 4)}." if fitting else ""
-    if histories and (not fitting or any(term.history > 1 for term in terms)):
-        guess += f" Or steps of history: {listed(histories, 4)}."
+    if steps and (not fitting or any(term.history > 1 for term in terms)):
+        guess += f" Or steps of history: {listed(steps, 4)}."
     raise ConfigError(
         f"The network of {where} takes {network.width} values, but the given terms have "
         f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",
         f"Give the terms of the training in the TOML file beside it.{guess}",
     )
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{json.dumps(k)} = {_toml(one)}' for k, one in value.items())} }}"
+    return json.dumps(value)

@@ -139,7 +139,9 @@ def _given_frames(contract: PolicyContract, robot: G1, motion: Motion) -> list[R
             break
     joint_pos, joint_vel, *pelvis = (np.concatenate(one)[:most] for one in zip(*parts, strict=True))
     anchors = anchor_poses(contract, robot, joint_pos, *pelvis)
-    return [ReferenceFrame(*one) for one in zip(joint_pos, joint_vel, anchors, strict=True)]
+    shares = np.arange(len(anchors)) / (contract.rate * motion.duration)
+    values = zip(joint_pos, joint_vel, anchors, shares.tolist(), strict=True)
+    return [ReferenceFrame(*one) for one in values]
 
 
 def _check_same(
@@ -187,19 +189,17 @@ def _targets(
     contract: PolicyContract, network: Network, robot: G1, frames: Sequence[ReferenceFrame]
 ) -> Floats:
     """Targets (N, 29) rad, motor order."""
-    default, scale = np.array(contract.default_pos), np.array(contract.action_scale)
     observer, targets = Observer(contract), []
     states = _states(contract, robot, frames)
     observer.begin(states[0], frames[0])
     for step, (state, frame) in enumerate(zip(states, frames, strict=True)):
-        action = network.act(observer.observe(state, frame), step)
+        action = network.act(observer.observe(state, frame), step, contract.action)
         if not np.isfinite(action).all():
             raise ConfigError(
                 f"The policy {contract.path} gives an action that is not finite at step {step}.",
                 "The policy cannot be played; check its terms, scales and metadata.",
             )
-        observer.last_action = action
-        targets.append(contract.in_motor_order(default + scale * action))
+        targets.append(observer.act(action))
     return np.array(targets)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.extras.policy.contract import RATE_ASSUMED, read_contract
+from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.first_actions import held_frame
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observer import pelvis_poses
@@ -19,10 +19,16 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["HeldMotion"]
+__all__ = ["HeldMotion", "motion_in"]
 
 #: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
+
+
+def motion_in(policy: str) -> str | None:
+    """Path of the ONNX file of a policy, given as of `Network`, if it holds its motion."""
+    network = Network(policy)
+    return str(network.path) if network.holds_motion else None
 
 
 class HeldMotion:
@@ -47,7 +53,7 @@ class HeldMotion:
     def evidence(self) -> Evidence:
         origin, rate = self._contract.origin, f"{self._contract.rate:g} fps"
         used, assumed = {"joint order": origin["joint_names"]}, {}
-        if self._file.fps is None and origin["rate"] == RATE_ASSUMED:
+        if self._file.fps is None and "rate" in self._contract.assumed:
             assumed["frame rate"] = rate
         elif self._file.fps is None:
             used["frame rate"] = f"{rate}, from {origin['rate']}"

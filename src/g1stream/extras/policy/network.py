@@ -13,14 +13,11 @@ import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.normaliser import normaliser
+from g1stream.extras.policy.published import LARGEST, policy_path, published
 from g1stream.optional import import_extra
 from g1stream.types import Floats
 
 __all__ = ["Network"]
-
-#: Largest file with its external data, bytes; a policy has some hundred thousand weights.
-_LARGEST: Final = 256 * 2**20
-
 
 #: Longest run, s; a step of a policy takes milliseconds.
 _LONGEST: Final = 5.0
@@ -46,25 +43,26 @@ class Network:
     """A network from an observation, and maybe a time step, to an action.
 
     Args:
-        path: path of the ONNX file.
+        path: path of the ONNX file, or name of a published policy.
 
     Attributes:
         path: path of the file.
         metadata: its custom metadata, as text.
         width: width of the observation.
-        n_actions: width of the action.
-        outputs: names of all outputs.
-        steps: whether it takes a time step, which means that it contains a motion.
+        outputs: width of each output, 0 if it is not that of an action; by name.
+        first: name of the first output.
+        holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
         data_sha256: hash of the external data `<name>.data` beside it; None without that file.
 
     Raises:
-        ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
+        ConfigError: it is no ONNX file, its inputs and outputs are not those of a policy, or it
+            cannot be fetched.
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
         runtime = import_extra("onnxruntime", "policy", "A policy needs")
+        self.path = policy_path(path)
         data = self._check_size()
         self.sha256 = _sha256(self.path)
         self.data_sha256 = _sha256(data) if data else None
@@ -85,25 +83,25 @@ class Network:
                 "Give an ONNX file with standard operators, and its external data beside it.",
             ) from error
         shapes = {one.name: list(one.shape) for one in inputs}
-        self.steps = "time_step" in shapes
-        self._step = {"time_step": np.zeros((1, 1), np.float32)} if self.steps else {}
+        self._step = {"time_step": np.zeros((1, 1), np.float32)} if "time_step" in shapes else {}
         observations = [name for name in shapes if name != "time_step"]
-        self.outputs = [one.name for one in self._session.get_outputs()]
-        actions = self._session.get_outputs()[0]
+        self.outputs = {one.name: _width(one.shape) for one in self._session.get_outputs()}
+        self.first = next(iter(self.outputs))
+        self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
         self._observation = observations[0] if observations else ""
-        wide = [shapes[name][-1] for name in observations if len(shapes[name]) == 2]
-        if len(observations) != 1 or len(wide) != 1 or not isinstance(wide[0], int):
+        self.width = _width(shapes[self._observation]) if observations else 0
+        if len(observations) > 1:
+            raise ConfigError(
+                f"{self.path} takes {_shown(shapes)}: beside an observation, a state that is fed "
+                "back or the output of another network, such as an encoder.",
+                "Export all of it as one network with one input (1, width), or run it in its own "
+                "program and record that: `g1stream record`.",
+            )
+        if not self.width:
             raise ConfigError(
                 f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
-        if len(actions.shape) != 2 or not isinstance(actions.shape[1], int):
-            raise ConfigError(
-                f"The first output of {self.path}, {actions.name}, has the shape {actions.shape}, "
-                "which is not that of an action.",
-                "Export the actor so that its first output is the action (1, joints).",
-            )
-        self.width, self.n_actions = wide[0], actions.shape[1]
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
         """All outputs for one observation (width,), by name and without the batch dimension.
@@ -135,9 +133,9 @@ class Network:
         batches = map(np.atleast_1d, values)  # a scalar may be an unused output
         return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 
-    def act(self, observation: Floats, step: int = 0) -> Floats:
-        """The action (joints,) for one observation (width,)."""
-        action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
+    def act(self, observation: Floats, step: int = 0, output: str = "") -> Floats:
+        """The action (joints,) for one observation (width,): an output, or the first one."""
+        action: Floats = self.run(observation, step)[output or self.first].astype(np.float64)
         return action
 
     @cached_property
@@ -154,17 +152,23 @@ class Network:
             size += external.stat().st_size if external else 0
         except OSError as error:
             raise ConfigError(
-                f"The policy {self.path} cannot be read: {error.strerror}.", "Check the path."
+                f"The policy {self.path} cannot be read: {error.strerror}.",
+                f"Give the path of an ONNX file, or a published policy: {', '.join(published())}.",
             ) from error
         if not self.path.is_file():
             raise ConfigError(f"The policy {self.path} is not a file.", "Give an ONNX file.")
-        if size > _LARGEST:
+        if size > LARGEST:
             raise ConfigError(
                 f"The policy {self.path} has {size / 2**20:.0f} MB, more than the limit of "
-                f"{_LARGEST / 2**20:.0f} MB.",
+                f"{LARGEST / 2**20:.0f} MB.",
                 "Export the actor alone, without critic and optimiser.",
             )
         return external
+
+
+def _width(shape: list[Any]) -> int:
+    """The width of an input or output (1, width); 0 if it has another shape or no known one."""
+    return shape[1] if len(shape) == 2 and isinstance(shape[1], int) else 0
 
 
 def _sha256(path: Path) -> str:

@@ -6,7 +6,7 @@ onnxruntime does not expose constants, so this file reads the few needed fields 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -90,34 +90,23 @@ def _values(tensor: Fields, path: Path) -> Floats:
 def _fields(message: bytes) -> Fields:
     """The fields of a protobuf message that have a length, by field number."""
     found: Fields = {}
-    for number, data in _walk(message):
-        found.setdefault(number, []).append(data)
+    data = BytesIO(message)
+    while (key := _varint(data)) is not None:
+        kind = key & 7
+        length = _varint(data) if kind in (0, 2) else {1: 8, 5: 4}[kind]  # ONNX has no groups
+        if kind == 2:
+            found.setdefault(key >> 3, []).append(data.read(length))
+        elif kind:
+            data.read(length)
     return found
 
 
-def _walk(message: bytes) -> Iterator[tuple[int, bytes]]:
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        kind = key & 7
-        if kind == 0:
-            _, at = _varint(message, at)
-        elif kind in (1, 5):
-            at += 8 if kind == 1 else 4
-        elif kind == 2:
-            length, at = _varint(message, at)
-            yield key >> 3, message[at : at + length]
-            at += length
-        else:
-            raise ValueError("ONNX has no groups")
-
-
-def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A number, and the offset after it."""
+def _varint(data: BytesIO) -> int | None:
+    """The next number; None at the end."""
     value = shift = 0
-    while True:
-        byte = message[at]
-        value |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-        if not byte & 0x80:
-            return value, at
+    while byte := data.read(1):
+        value |= (byte[0] & 0x7F) << shift
+        shift += 7
+        if byte[0] < 0x80:
+            return value
+    return None

@@ -8,7 +8,7 @@ in the policy's order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from g1stream.robot.rotations import (
 )
 from g1stream.types import Floats
 
-__all__ = ["ALIASES", "TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState", "observe"]
+__all__ = ["TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState"]
 
 
 class Pose(NamedTuple):
@@ -54,11 +54,15 @@ class RobotState(NamedTuple):
 
 
 class ReferenceFrame(NamedTuple):
-    """The reference of one step: joint_pos (29,) rad, joint_vel (29,) rad/s, motor order."""
+    """The reference of one step: joint_pos (29,) rad, joint_vel (29,) rad/s, motor order.
+
+    `phase` is the share of the motion that has passed, 0 before it and 1 after it.
+    """
 
     joint_pos: Floats
     joint_vel: Floats
     anchor: Pose
+    phase: float = 0.0
 
 
 class Inputs(NamedTuple):
@@ -71,9 +75,9 @@ class Inputs(NamedTuple):
         origin: origin of the reference's world and of the robot's, each (3,), m: the place of the
             anchor link at the start of the motion, at height 0, because both have their floor
             there.
-        order: (29,) motor index of each joint of the policy.
-        default_pos: (29,) rad.
-        last_action: (29,) output of the network in the step before.
+        order: (joints,) motor index of each joint of the policy.
+        default_pos: (joints,) rad.
+        last_action: (joints,) output of the network in the step before.
         velocity: (3,) command: forward and to the left, m/s, and turning left, rad/s.
         phase: (2,) phase of the left and the right leg, rad; pi, pi while standing.
     """
@@ -90,7 +94,10 @@ class Inputs(NamedTuple):
 
 
 class _Term(NamedTuple):
+    """Number of values in all and for each joint, formula in words, and the values."""
+
     size: int
+    by_joint: int
     formula: str
     value: Callable[[Inputs], Floats]
 
@@ -123,45 +130,26 @@ def _reference(x: Inputs) -> ReferenceFrame:
 
 
 TERMS: Final = {
-    "motion_command": _Term(58, "q_ref, dq_ref", _command),
-    "motion_anchor_pos_b": _Term(3, "R(q_anchor)^-1 (p_ref - p_anchor)", _anchor_position),
+    "motion_command": _Term(0, 2, "q_ref, dq_ref", _command),
+    "motion_anchor_pos_b": _Term(3, 0, "R(q_anchor)^-1 (p_ref - p_anchor)", _anchor_position),
     "motion_anchor_ori_b": _Term(
-        6, "R(q_anchor^-1 yaw0 q_ref), 2 columns, by rows", _anchor_orientation
+        6, 0, "R(q_anchor^-1 yaw0 q_ref), 2 columns, by rows", _anchor_orientation
     ),
-    "base_lin_vel": _Term(3, "velocity of the pelvis in its axes", lambda x: x.state.lin_vel),
-    "base_ang_vel": _Term(3, "gyroscope of the pelvis", lambda x: x.state.gyroscope),
-    "projected_gravity": _Term(3, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
-    "velocity_commands": _Term(3, "commanded vx, vy, yaw rate", lambda x: x.velocity),
-    "command_lin_vel": _Term(2, "commanded vx, vy", lambda x: x.velocity[:2]),
-    "command_ang_vel": _Term(1, "commanded yaw rate", lambda x: x.velocity[2:]),
-    "sin_phase": _Term(2, "sine of the legs' phase", lambda x: np.sin(x.phase)),
-    "cos_phase": _Term(2, "cosine of the legs' phase", lambda x: np.cos(x.phase)),
-    "joint_pos_rel": _Term(29, "q - default", lambda x: x.state.joint_pos[x.order] - x.default_pos),
-    "joint_vel_rel": _Term(29, "dq", lambda x: x.state.joint_vel[x.order]),
-    "last_action": _Term(29, "action of the step before", lambda x: x.last_action),
+    "base_lin_vel": _Term(3, 0, "velocity of the pelvis in its axes", lambda x: x.state.lin_vel),
+    "base_ang_vel": _Term(3, 0, "gyroscope of the pelvis", lambda x: x.state.gyroscope),
+    "projected_gravity": _Term(3, 0, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
+    "velocity_commands": _Term(3, 0, "commanded vx, vy, yaw rate", lambda x: x.velocity),
+    "command_lin_vel": _Term(2, 0, "commanded vx, vy", lambda x: x.velocity[:2]),
+    "command_ang_vel": _Term(1, 0, "commanded yaw rate", lambda x: x.velocity[2:]),
+    "sin_phase": _Term(2, 0, "sine of the legs' phase", lambda x: np.sin(x.phase)),
+    "cos_phase": _Term(2, 0, "cosine of the legs' phase", lambda x: np.cos(x.phase)),
+    "joint_pos_rel": _Term(
+        0, 1, "q - default", lambda x: x.state.joint_pos[x.order] - x.default_pos
+    ),
+    "joint_vel_rel": _Term(0, 1, "dq", lambda x: x.state.joint_vel[x.order]),
+    "last_action": _Term(0, 1, "action of the step before", lambda x: x.last_action),
+    "motion_phase": _Term(
+        1, 0, "share of the motion that has passed", lambda x: np.array([_reference(x).phase])
+    ),
 }
 """The terms by their names in Isaac Lab and mjlab, as in deploy.yaml."""
-
-ALIASES: Final = {
-    "motion_ref_ori_b": "motion_anchor_ori_b",
-    "motion": "motion_command",
-    "command": "motion_command",
-    "joint_pos": "joint_pos_rel",
-    "joint_vel": "joint_vel_rel",
-    "dof_pos": "joint_pos_rel",
-    "dof_vel": "joint_vel_rel",
-    "actions": "last_action",
-    "velocity_command": "velocity_commands",
-    "base_velocity": "velocity_commands",
-}
-"""Other names of the same terms, in whole_body_tracking and holosoma."""
-
-
-def observe(terms: Sequence[tuple[str, Floats | float]], inputs: Inputs) -> list[Floats]:
-    """Compute the terms of a step, times their scales.
-
-    Args:
-        terms: name in `TERMS`, and scale.
-        inputs: the inputs of this step.
-    """
-    return [scale * TERMS[name].value(inputs) for name, scale in terms]

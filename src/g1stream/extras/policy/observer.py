@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.extras.policy.observation import Inputs, Pose, ReferenceFrame, RobotState, observe
+from g1stream.extras.policy.observation import TERMS, Inputs, Pose, ReferenceFrame, RobotState
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
 
@@ -30,24 +30,26 @@ _STANDS: Final = np.zeros(3), np.full(2, np.pi)
 
 
 class Observer:
-    """Computes the observation of each step.
+    """Computes the observation of each step, and the targets of its action.
 
     Args:
         contract: the policy's contract.
 
     Attributes:
-        last_action: (29,) action of the step before, in the policy's order.
+        last_action: (joints,) action of the step before, in the policy's order.
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        self._clip = contract.clip
-        self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+        self._contract = contract
+        self._limits = [np.array(one.clip) if one.clip else None for one in contract.terms]
+        self._scales = [np.array(one.scale) for one in contract.terms]
         self._order, self._default = contract.order, np.array(contract.default_pos)
         self._frames: deque[ReferenceFrame] = deque(maxlen=contract.lag + 1)
-        self._histories: list[deque[Floats]] = [deque(maxlen=one.history) for one in contract.terms]
-        self._zeros = contract.history_start == "zeros"
+        self._histories: list[deque[Floats]] = [
+            deque(maxlen=one.history + one.behind) for one in contract.terms
+        ]
         self._yaw0, self._origin = _UPRIGHT, (_ORIGIN, _ORIGIN)
-        self.last_action = np.zeros(len(self._default))
+        self.last_action = self._smoothed = np.zeros(len(self._default))
 
     def begin(self, state: RobotState, frame: ReferenceFrame) -> None:
         """Align heading and place of the motion's anchor with the robot's at the start."""
@@ -57,13 +59,11 @@ class Observer:
         self._frames.clear()
         for history in self._histories:
             history.clear()
-        self.last_action = np.zeros(len(self._default))
+        self.last_action = self._smoothed = np.zeros(len(self._default))
 
     def observe(self, state: RobotState, frame: ReferenceFrame) -> Floats:
-        """The observation (width,) of the next step: histories, the oldest step first.
-
-        The reference is that of `lag` steps ago.
-        """
+        """The observation (width,) of the next step. The reference is that of `lag` steps ago."""
+        contract, parts = self._contract, []
         self._frames.append(frame)
         inputs = Inputs(
             state,
@@ -75,13 +75,26 @@ class Observer:
             self.last_action,
             *_STANDS,
         )
-        for history, values in zip(self._histories, observe(self._terms, inputs), strict=True):
+        for term, history, scale, limits in zip(
+            contract.terms, self._histories, self._scales, self._limits, strict=True
+        ):
+            values = scale * TERMS[term.value].value(inputs)
+            if limits is not None:
+                values = np.clip(values, *limits)
             if not history:
-                before = np.zeros_like(values) if self._zeros else values
-                history.extend([before] * (history.maxlen or 1))
+                before = values if contract.history_start == "first step" else 0.0 * values
+                history.extend([before] * (term.history + term.behind))
             history.append(values)
-        observation = np.concatenate([values for one in self._histories for values in one])
-        return np.clip(observation, -self._clip, self._clip) if self._clip else observation
+            steps = list(history)[: term.history]
+            parts += steps[::-1] if term.newest_first else steps
+        observation, most = np.concatenate(parts), contract.clip
+        return np.clip(observation, -most, most) if most else observation
+
+    def act(self, action: Floats) -> Floats:
+        """The targets (29,), rad, motor order, of the action of a step (joints,), which follows."""
+        self.last_action, share = action, self._contract.action_smoothing
+        self._smoothed = share * self._smoothed + (1.0 - share) * action if share else action
+        return self._contract.targets(self._smoothed)
 
 
 def anchor_poses(

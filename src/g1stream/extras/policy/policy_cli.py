@@ -20,7 +20,8 @@ from g1stream.errors import ConfigError
 class Policy(Command):
     """Prints the contract of a learned policy: observation, joints, gains, rate, reference.
 
-    A policy is an ONNX file. Facts that its metadata lacks are read from deploy.yaml or from a TOML
+    A policy is an ONNX file, or the name of a published one, such as holosoma, which is downloaded
+    once. Facts that its metadata lacks are read from deploy.yaml or from a TOML
     file of the same name beside it. Facts that no file has are listed with the line to write. With
     a motion in the policy or --motion, the first five seconds are tried with the robot exactly at
     the reference. Targets far from it show a wrong motion, order, term or scale.
@@ -30,8 +31,10 @@ class Policy(Command):
     the recorded ones, term by term.
 
     Examples:
+      g1stream policy holosoma
       g1stream policy policy.onnx
       g1stream policy policy.onnx --motion dance.csv --json
+      g1stream policy holosoma --toml > policy.toml
       g1stream policy --replay session.mcap
 
     Exit codes:
@@ -41,19 +44,30 @@ class Policy(Command):
     """
 
     file: str | None = flag(
-        None, "ONNX file of the policy; default: the recorded one.", "FILE", positional=True
+        None,
+        "ONNX file of the policy, or name of a published one; default: the recorded one.",
+        "FILE",
+        positional=True,
     )
     motion: str | None = flag(None, "Motion to track.", "MOTION", excludes=("replay",))
     replay: str | None = flag(None, "Session whose observations the policy gets.", "SESSION")
     json: bool = flag(False, "Print the result as JSON.")
+    toml: bool = flag(
+        False,
+        "Print the facts as TOML, to write them beside another policy.",
+        excludes=("json", "replay"),
+    )
 
     def run(self) -> int:
         """Print contract and first actions, or a replay, and return the exit code."""
         if self.replay:
             return self._replay(self.replay)
         if self.file is None:
+            from g1stream.extras.policy.published import published
+
             raise ConfigError(
-                "No policy is given.", "Give an ONNX file, or --replay with a session."
+                "No policy is given.",
+                f"Give an ONNX file, or one of {', '.join(published())}, or --replay a session.",
             )
         return self._show(self.file)
 
@@ -78,6 +92,9 @@ class Policy(Command):
 
         network = Network(file)
         contract = read_contract(network)
+        if self.toml:
+            print_lines(contract.toml())
+            return EXIT_OK
         motion = load_motion(self.motion) if self.motion else None
         if motion:
             print_warning(*motion.warnings)

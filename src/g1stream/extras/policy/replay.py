@@ -171,14 +171,15 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
             f"{network.path} has changed since {session.path} was recorded: its SHA-256 differs.",
             "Give the ONNX file that played before --replay, or this one explicitly to compare it.",
         )
-    if network.width != steps.observation.shape[1] or network.n_actions != len(JOINT_NAMES):
+    contract = _contract(session, network)
+    given = network.outputs.get(contract.action or network.first, 0), network.width
+    recorded = len(contract.joint_names), steps.observation.shape[1]
+    if given != recorded:
         raise ConfigError(
-            f"{network.path} gives {counted(network.n_actions, 'action')} for "
-            f"{counted(network.width, 'value')}, but the session has {len(JOINT_NAMES)} for "
-            f"{steps.observation.shape[1]}.",
+            f"{network.path} gives {counted(given[0], 'action')} for {counted(given[1], 'value')}, "
+            f"but the session has {recorded[0]} for {recorded[1]}.",
             "Give the policy that was played, or one with the same contract.",
         )
-    contract = _contract(session, network)
     columns = PolicyInfo(contract=contract.model_dump(mode="json")).columns
     rebuilt, left_out = _observations(session, steps, contract, columns)
     return PolicyReplay(
@@ -231,9 +232,9 @@ def _file(session: Session) -> Path:
 
 def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) -> dict[str, Any]:
     """The fields of `PolicyReplay` about actions."""
-    replayed, order = np.empty_like(steps.action), contract.order
+    replayed, order = np.zeros_like(steps.action), contract.order
     for i, observation in enumerate(steps.observation):
-        replayed[i, order] = network.act(observation)
+        replayed[i, order] = network.act(observation, output=contract.action)
     differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
     # NaN has many bit patterns, which are all equal here.
     differing &= ~(np.isnan(steps.action) & np.isnan(replayed))
@@ -284,7 +285,7 @@ def _observations(
         if not steps.repeated[i]:
             observer.last_action = steps.action[i].astype(np.float64)[order]
     for name, at in columns.items():
-        if name in OF_BASE:
+        if name.partition(".")[0] in (*OF_BASE, "motion_phase"):  # not in the messages
             rebuilt[:, at] = np.nan
     return rebuilt, left_out
 

@@ -91,23 +91,25 @@ class PolicyTargets(Source):
         _require_multiple(contract, settings.rate)
         self._step_time = 1.0 / contract.rate
         self._robot, self._settings = robot, settings
-        pose = contract.in_motor_order(contract.default_pos)
+        pose = contract.in_motor_order(contract.default_pos, contract.held_pos)
         self._still = _standing(pose, robot)
         self.traits = Traits(
-            Gains(contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)),
+            Gains(
+                contract.in_motor_order(contract.kp, contract.held_kp),
+                contract.in_motor_order(contract.kd, contract.held_kd),
+            ),
             way_down=BackToStanding(self._still, settings.stand),
             makes_targets=True,
             about=_about(contract, self._network),
         )
         self._observer, self._order = Observer(contract), contract.order
-        estimated = any(term.name in OF_BASE for term in contract.terms)
+        estimated = any(term.value in OF_BASE for term in contract.terms)
         self._load = FeetLoad(robot)
         self._lowered_by_bridge = False
         self._share = self._carried_for = 0.0
         self._weighed = -_LOAD_PERIOD  # time of the last check, s
         self._odometry = LegOdometry(robot) if estimated else None
-        self._default = np.array(contract.default_pos)
-        self._scale = np.array(contract.action_scale)
+        self._phases = np.zeros(2), np.zeros(2)  # motion times, and shares of the motion then
         self._target: Floats | None = None
         self._next = 0.0
         self._steps = self._repeated = self._late = 0
@@ -137,10 +139,14 @@ class PolicyTargets(Source):
             raise ConfigError(
                 f"{first.problem}.", "`g1stream stream --anyway` plays it in a simulator."
             )
-        part = Interval.from_config(settings, motion)
+        part, whole = Interval.from_config(settings, motion), motion.duration
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
         changed = _with_standing(motion, self._still, settings.stand)
+        length, after = motion.duration, (round(_BLEND * motion.fps) + 1) / motion.fps
+        begin = changed.duration - length - after
+        shares = np.array([settings.start, settings.start + length]) / whole
+        self._phases = np.array([begin, begin + length]), shares
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         if self._odometry:
             text += "; the velocity of the pelvis is estimated by leg odometry"
@@ -193,11 +199,10 @@ class PolicyTargets(Source):
         begun, measured = moment.clock(), moment.measured
         observation = self._observer.observe(self._state(moment), self._reference(moment.target))
         asked = moment.clock()
-        action = self._network.act(observation)
+        action = self._network.act(observation, output=self.contract.action)
         took = (moment.clock() - asked) / 1e9
         finite = bool(np.isfinite(action).all())
-        if finite:
-            self._observer.last_action = action
+        self._target = self._observer.act(action if finite else self._observer.last_action)
         self._repeated = 0 if finite else self._repeated + 1
         self._late = self._late + 1 if took > self._step_time else 0
         if max(self._repeated, self._late) > _REPEATED and not self._fall:
@@ -216,8 +221,6 @@ class PolicyTargets(Source):
         step.repeated[()] = self._repeated
         self._new = True
         self._steps += 1
-        self._target = np.empty(len(self._order))
-        self._target[self._order] = self._default + self._scale * self._observer.last_action
 
     def _watch(self, moment: Moment) -> None:
         """Detect a fall."""
@@ -245,7 +248,8 @@ class PolicyTargets(Source):
 
     def _reference(self, target: Setpoint) -> ReferenceFrame:
         pose = target.root_pos, target.root_quat_wxyz
-        return frame_of(self.contract, self._robot, target.q, target.dq, *pose)
+        frame = frame_of(self.contract, self._robot, target.q, target.dq, *pose)
+        return frame._replace(phase=float(np.interp(target.motion_time, *self._phases)))
 
 
 class BackToStanding:

@@ -224,12 +224,8 @@ def _terms(
         n, names = values.shape[1], [f"{name}[{i}]" for i in range(values.shape[1])]
         if contract and n == len(contract.joint_names):
             names = [f"{name} of {short_name(joint)}" for joint in contract.joint_names]
-        if (
-            contract
-            and asked
-            and name in ("joint_pos_rel", "joint_vel_rel")
-            and n == len(JOINT_NAMES)
-        ):
+        relative = name in ("joint_pos_rel", "joint_vel_rel")
+        if contract and asked and relative and n == len(contract.joint_names):
             part = asked.start if name == "joint_pos_rel" else asked.start + n
             reference = steps.observation[:, part : part + n] / scales["motion_command"].mean()
             less = np.array(contract.default_pos) if name == "joint_pos_rel" else 0.0
@@ -247,9 +243,9 @@ def _actions(
     asked = columns.get("motion_command")
     if contract and asked:
         scale = next(np.array(one.scale) for one in contract.terms if one.name == "motion_command")
-        n = len(JOINT_NAMES)
+        n, offset = len(contract.joint_names), contract.action_offset or contract.default_pos
         reference = steps.observation[:, asked.start : asked.start + n] / scale.mean()
-        less = (reference - np.array(contract.default_pos)) / np.array(contract.action_scale)
+        less = (reference - np.array(offset)) / np.array(contract.action_scale)
         values[:, contract.order] -= less
     return _Trace("action", names, steps.time, values)
 

@@ -32,8 +32,8 @@ g1stream/PolicyObservation observation
 g1stream/PolicyAction action
 """
 #: Fields of the observation. A policy without one of the terms has no values there. All values are
-#: in the last field if their terms are not known.
-_OBSERVED: Final = (*TERMS, "values")
+#: in the last field if their terms are not known. The type does not change for a new term.
+_OBSERVED: Final = (*(name for name in TERMS if name != "motion_phase"), "values")
 
 
 def schema() -> bytes:
@@ -57,7 +57,7 @@ def encode(steps: Batch, policy: PolicyInfo | None) -> MessageBatch:
     samples = Samples(POLICY, steps.data)
     published, logged = np.array(steps.publish_times), np.array(steps.log_times)
     names = policy.newest if policy else {}
-    if not names.keys() <= TERMS.keys():  # recorded by another version
+    if any(name.partition(".")[0] not in TERMS for name in names):  # of another version
         names = {}
     head = zip(
         *(samples[name].tolist() for name in ("step", "repeated")),

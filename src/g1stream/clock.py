@@ -6,13 +6,13 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.types import MAX_GAP_NS
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 __all__ = ["Clock", "SystemClock", "Ticker", "have_one_clock"]
 
+#: Longest time of a message on its way, ns.
+_SLOWEST_WIRE: Final = 20_000_000
 #: Longest busy wait before a deadline, ns.
 _LONGEST_SPIN: Final = 100_000
 #: Number of wake-ups over which their latency is averaged.
@@ -22,10 +22,12 @@ _AVERAGED: Final = 16
 def have_one_clock(transit: int) -> bool:
     """Whether publisher and receiver of a message seem to have one clock.
 
+    No message arrives before it is sent, and few take longer than 20 ms.
+
     Args:
-        transit: time of reception minus publish time, ns; of several messages the smallest.
+        transit: time of reception minus publish time, ns.
     """
-    return 0 <= transit <= MAX_GAP_NS
+    return 0 <= transit <= _SLOWEST_WIRE
 
 
 class Clock(Protocol):

@@ -201,7 +201,7 @@ def test_ankles_and_waist_that_are_motors_a_and_b_are_not_compared(
     }
     assert missing == ((ankles | {"waist_pitch_joint", "waist_roll_joint"}) if left_out else set())
     assert session.tracking().overall < 1e-3
-    assert any("mode_pr 1" in one for one in session.summary().problems)
+    assert any("mode_pr" in one for one in session.summary().problems)
 
 
 @pytest.mark.parametrize(("delay", "possible"), [(-0.012, False), (-0.003, True), (0.01, True)])

@@ -215,7 +215,11 @@ def test_a_g1_has_other_topics_for_state_and_base(tmp_path):
         writer = Writer(file)
         writer.start()
         for topic, kind, data in (
-            ("/lf/lowstate", "unitree_hg/msg/LowState", encode_samples(LOWSTATE, state, 20)),
+            (
+                "/lf/lowstate",
+                "unitree_hg::msg::dds_::LowState_",
+                encode_samples(LOWSTATE, state, 20),
+            ),
             (
                 "/odommodestate",
                 "unitree_go/msg/SportModeState",

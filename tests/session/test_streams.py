@@ -137,6 +137,40 @@ def test_a_robot_whose_clock_is_set_keeps_its_place_in_time(step):
     assert found.at_ns == shown[2000]
 
 
+@pytest.mark.parametrize("rate", [0.5, 50, 100, 200, 500])
+@pytest.mark.parametrize("step", [0.01, 0.02, 0.05, -0.05, 1.0])
+@pytest.mark.parametrize("here", [True, False])
+def test_a_step_is_taken_out_at_its_place_at_any_rate(rate, step, here):
+    true = T0 + np.round(np.arange(round(max(8, 6 * rate))) * 1e9 / rate).astype(np.int64)
+    set_ns, later = round(step * 1e9), np.arange(len(true)) >= len(true) // 2
+    noted = [ClockStep(at_ns=int(true[later][0]) + set_ns, step_ns=set_ns)]
+    logged = true + set_ns * later
+    sent = logged if here else true
+    stream = Stream(log_time=logged + 100_000, publish_time=sent, host_steps=noted)
+    np.testing.assert_array_equal(stream.published, true)
+    assert stream.clock_steps == ()
+    np.testing.assert_array_equal(stream.latency, 100_000)
+
+
+def test_messages_that_are_rare_or_become_slower_set_no_clock():
+    rare = T0 + 2_000_000_000 * np.arange(6)
+    late = rare + 100_000 + 50_000_000 * (np.arange(6) == 3)
+    assert Stream(log_time=late, publish_time=rare).clock_steps == ()
+    sent = T0 + 2_000_000 * np.arange(5000)
+    slower = sent + 100_000 + 15_000_000 * (np.arange(5000) >= 2500)
+    stream = Stream(log_time=slower, publish_time=sent)
+    assert stream.clock_steps == ()
+    np.testing.assert_array_equal(stream.published, sent)
+
+
+def test_two_steps_one_after_the_other_are_both_found():
+    sent = T0 + 2_000_000 * np.arange(5000)
+    shown = sent + 50_000_000 * ((np.arange(5000) >= 2000) & (np.arange(5000) < 2150))
+    stream = Stream(log_time=sent + 100_000, publish_time=shown)
+    assert [one.step_ns for one in stream.clock_steps] == [50_000_000, -50_000_000]
+    np.testing.assert_array_equal(stream.published, sent)
+
+
 def test_a_recorder_that_stalls_or_loses_messages_sets_no_clock():
     sent = T0 + 2_000_000 * np.arange(5000)
     for received in (

@@ -244,7 +244,7 @@ def test_a_state_that_comes_a_batch_late_finds_its_reference():
     assert published == states.publish_times.tolist()
 
 
-@pytest.mark.parametrize("offset", [0.0, 3.2, -3.2])
+@pytest.mark.parametrize("offset", [0.0, 0.05, -0.05, 3.2, -3.2])
 def test_the_curve_of_errors_is_that_of_a_robot_with_another_clock(offset):
     source = MemorySource()
     SyntheticSession(2.0, clock_offset=offset, latency=0.001, bias=0.02).write(source)

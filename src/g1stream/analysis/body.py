@@ -358,7 +358,10 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     names = [robot.link_names[i] for i in bodies]
     reference, measured = frames.reference, frames.measured
     ends = [names.index(name) for name in _END_EFFECTORS if name in names]
-    tracked = [name for name in _TRACKED if name in robot.link_names]
+    root = robot.link_names[0]  # which is the anchor of a robot without a torso
+    tracked = list(dict.fromkeys([root, *(one for one in _TRACKED if one in robot.link_names)]))
+    # Without a position nothing is known of the links in the world.
+    tracked = tracked if frames.has_position else []
     links = [*bodies, *map(robot.link_index, tracked)]
     anchored = np.empty((len(frames.motion_time), 6))
     n_frames = len(frames.motion_time)
@@ -372,9 +375,8 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
         of_measured = _links(robot, measured, part, links)
         alone[part] = (of_reference[0].pos - of_measured[0].pos)[:, : len(bodies)]
         relative[part] = (of_reference[1] - of_measured[1])[:, : len(bodies)]
-        anchored[part] = _anchored(
-            tracked,
-            *(
+        if tracked:
+            in_world = (
                 LinkPoses(
                     pos[:, len(bodies) :] + state.root_pos[part, np.newaxis],
                     quat_mul(
@@ -382,8 +384,8 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
                     ),
                 )
                 for state, (poses, pos) in ((reference, of_reference), (measured, of_measured))
-            ),
-        )
+            )
+            anchored[part] = _anchored(tracked, *in_world)
         for kept, (poses, _) in ((asked, of_reference), (done, of_measured)):
             kept.pos[part], kept.quat_wxyz[part] = poses.pos[:, ends], poses.quat_wxyz[:, ends]
     world = terminations = mjlab = None

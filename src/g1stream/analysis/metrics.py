@@ -27,6 +27,7 @@ from g1stream.analysis.tracking import (
     NothingToCompareError,
     TrackingSummary,
     blocks,
+    no_joints,
     pooled,
     rms,
     tracking,
@@ -187,7 +188,10 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
     body = torque = robot = None
     try:
         robot = session.robot
-        body = body_metrics(robot, sampled, found.joints) if found and sampled else None
+        if found and no_joints(session, found):
+            missing["body"] = "With mode_pr 1 ankles and waist are motors, so no link is known."
+        elif found and sampled:
+            body = body_metrics(robot, sampled, found.joints)
     except RobotError as error:
         missing["body"] = error.cause
     if not session.topics.get(MeasuredStream.topic):

@@ -185,7 +185,7 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
         rate_hz=len(intervals) / span if span > 0 else None,
         gaps=int(np.sum(intervals > _GAP * np.median(intervals))) if len(intervals) else 0,
         longest_interval_s=float(intervals.max()) if len(intervals) else None,
-        latency_us=percentiles((stream.log_time - stream.publish_time) / 1e3),
+        latency_us=percentiles(stream.latency / 1e3),
         clock_offset_s=stream.clock_offset / 1e9,
         clock_steps=list(stream.clock_steps),
     )
@@ -273,7 +273,7 @@ def find_problems(summary: Summary) -> Iterator[str]:
     if ahead := _ahead_of_commands(summary):
         yield (
             f"The joints move {ahead * 1e3:.1f} ms before their commands are sent, which is "
-            "impossible: the robot's clock is ahead of the recorder's, or the reference is wrong."
+            "impossible: the robot's clock is behind the recorder's, or the reference is wrong."
         )
 
 
@@ -399,9 +399,9 @@ def _parallel_motors(session: Recording) -> Iterator[str]:
     for stream, motors in parallel(session):
         if n := int(motors.sum()):
             yield (
-                f"{_share(n, len(motors))} of {stream.topic} has mode_pr 1: there, the ankles and "
-                "the waist's pitch and roll are the motors A and B. In PLAY these joints are not "
-                "compared."
+                f"{_share(n, len(motors))} of {stream.topic} has a mode_pr other than 0: there, "
+                "ankles and waist are the motors A and B instead of pitch and roll, and these "
+                "joints are not compared."
             )
 
 

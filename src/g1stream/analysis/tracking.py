@@ -20,6 +20,7 @@ one observation, so that a lasting disturbance does not count many times (K.-Y. 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from statistics import NormalDist
@@ -64,6 +65,7 @@ __all__ = [
     "compare",
     "errors_of_run",
     "interpolated",
+    "no_joints",
     "parallel",
     "pooled",
     "rms",
@@ -321,8 +323,8 @@ def tracking(session: Recording) -> Tracking:
         attached = session.attached
         delay_known = attached is None or not attached.by_robot
         if found := compare(reference, session.measured, delay_known=delay_known):
-            known = tuple(one for one in found.joints if one not in _no_joints(session, found))
-            if known:
+            motors = no_joints(session, found)
+            if known := tuple(joint for joint in found.joints if joint not in motors):
                 return replace(found, joints=known)
         reason = f"no {MeasuredStream.topic} with joints that played was published in PLAY"
     raise NothingToCompareError(
@@ -336,11 +338,12 @@ def parallel(session: Recording) -> Iterator[tuple[Stream, NDArray[np.bool_]]]:
     kinds: tuple[type[CommandStream | MeasuredStream], ...] = (CommandStream, MeasuredStream)
     for kind in kinds:
         if session.topics.get(kind.topic):
-            stream = session.stream(kind).read("mode_pr")
-            yield stream, stream.mode_pr == 1
+            with suppress(RecordingError):  # whoever uses the topic says what is wrong with it
+                stream = session.stream(kind).read("mode_pr")
+                yield stream, stream.mode_pr != 0
 
 
-def _no_joints(session: Recording, found: Tracking) -> tuple[int, ...]:
+def no_joints(session: Recording, found: Tracking) -> tuple[int, ...]:
     """Joints whose slots in PLAY are motors A and B."""
     first, last = found.time[[0, -1]]
     for stream, motors in parallel(session):

@@ -6,10 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, print_summary
+from g1stream.cli.command import EXIT_OK, print_summary, print_warning
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.session_flags import SessionFlags
 from g1stream.errors import RecordingError
+from g1stream.events import is_quiet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,5 +40,7 @@ class Info(SessionFlags):
                 metrics = session.metrics()
                 summary.success = metrics.success
                 summary.terminations = metrics.body.terminations if metrics.body else None
+        if is_quiet():
+            print_warning(*summary.problems)
         print_summary(summary, as_json=self.json, details=self.all)
         return EXIT_OK

@@ -15,6 +15,7 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionPartFlags
+from g1stream.events import is_quiet
 from g1stream.robot.joints import N_JOINTS
 from g1stream.text import counted, labelled, listed, told_apart
 
@@ -71,7 +72,11 @@ class Inspect(SettingsCommand, MotionPartFlags):
         if self.json:
             print_json(_as_dict(report, evidence))
         else:
-            print_lines(render(report, evidence, config.safety.tilt_limit("free")))
+            max_tilt = config.safety.tilt_limit("free")
+            if is_quiet():
+                *found, _ = _result_lines(report, max_tilt)
+                print_warning(*(text.strip() for text in found))
+            print_lines(render(report, evidence, max_tilt))
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 

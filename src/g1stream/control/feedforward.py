@@ -103,7 +103,9 @@ class FeedForward:
         # The servo of g1stream's bridge runs at the rate of commands. On average it reads a command
         # half a period after its arrival, and holds it for a period. unitree_mujoco's bridges run
         # at another rate or on the arrival of a command, with measurements older by a step.
-        usual = self._delay + (0.0 if announced is None else self._period)
+        # A known delay is from the publish time on, so it has the first half.
+        held = self._period / 2.0 if self._delay else self._period
+        usual = self._delay + (0.0 if announced is None else held)
         self.preview = usual if self._set_preview is None else self._set_preview
         if self._source.traits.makes_targets:  # the target must be the Reference of a later tick
             self.preview = round(self.preview / self._period) * self._period

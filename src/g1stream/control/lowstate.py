@@ -220,11 +220,11 @@ class LowStateChecks:
 
     def _wrong_mode(self, state: LowState) -> str:
         """Why the joints of this LowState are not those of a LowCmd, or ""."""
-        if not int(state.mode_pr):
+        if not (mode := int(state.mode_pr)):
             return ""
         return (
-            "the robot has mode_pr 1: its ankles and waist are motors A and B instead of pitch and "
-            "roll; only 0 is played, so end the program that has set it"
+            f"the robot has mode_pr {mode}: its ankles and waist are motors A and B instead of "
+            "pitch and roll; only 0 is played, so end the program that has set it"
         )
 
     def _crc_is_right(self, state: LowState) -> bool:

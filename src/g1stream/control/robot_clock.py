@@ -31,6 +31,9 @@ _BY_ONE, _LONGER_THAN_MS = 0.9, 1.6e6
 def counts_messages(ticks: Ints, intervals: Ints) -> bool:
     """Whether the tick of LowState counts messages, not ms.
 
+    A simulator that publishes each ms of its time, and runs at less than 0.6 of real time, looks
+    the same; its pace is then the measured scale.
+
     Args:
         ticks: (N,) steps of the tick between readings.
         intervals: (N,) time between the same readings, ns.

@@ -37,7 +37,7 @@ class Stop(NamedTuple):
 _LOOK: Final = "Look at this joint in the recording, and at the motion with `g1stream physics`."
 REMEDIES: Final[dict[StopKind, str]] = {
     "state": "`g1stream doctor` looks for the cause; a simulator needs free CPUs.",
-    "robot": "--robot names another kind of G1; `g1stream doctor` tells what this one reports.",
+    "robot": "`g1stream doctor` tells what the robot reports; --robot names another kind of G1.",
     "tilt": "Set the robot up again. If it hangs and only swings, play a smaller or slower part.",
     "speed": _LOOK,
     "torque": _LOOK,

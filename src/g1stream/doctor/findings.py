@@ -310,8 +310,8 @@ def _states(facts: Facts) -> Iterator[Finding]:
         "mode_pr",
         (
             _PROBLEM,
-            state.mode_pr == 1,
-            "1: ankles and waist are motors A and B, not pitch and roll, so nothing is played",
+            state.mode_pr,
+            f"{state.mode_pr}: ankles and waist are motors A and B, so nothing is played",
             "End the program that has set it, or restart the robot.",
         ),
     )

@@ -110,7 +110,8 @@ class Messages(NamedTuple):
         """The messages without the compression of each one (`compression_mode: message`).
 
         Raises:
-            ValueError: one is damaged, or they are larger than 512 MiB unpacked.
+            ValueError: they are larger than 512 MiB unpacked.
+            zstandard.ZstdError: one is damaged.
         """
         if not self.data[0].startswith(zstandard.FRAME_HEADER):  # no CDR message begins so
             return self

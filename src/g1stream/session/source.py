@@ -11,6 +11,7 @@ lockstep gives a session without a file:
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from pathlib import Path, PurePath
@@ -172,8 +173,8 @@ class FilesSource(SessionSource):
         self.topics = {topic: counts[name] for topic, name in self._names.items()}
         self.unread = sum(file.unread for file in files)
         for topic in CHANNELS.keys() & self._names.keys():
-            one = CHANNELS[topic]
-            if not one.dds_topic and kinds[topic] != (one.schema_name, one.message_encoding):
+            one, kind = CHANNELS[topic], kinds.get(self._names[topic])
+            if not one.dds_topic and kind != (one.schema_name, one.message_encoding):
                 self.foreign.add(topic)
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
@@ -220,7 +221,7 @@ def _session_topics(
 
 def _package(kind: str) -> str:
     """The package of a type, which tells types of one name apart."""
-    return kind.partition("/")[0]
+    return re.split(r"/|::|\.", kind)[0]
 
 
 class SessionFiles(FilesSource):
@@ -242,7 +243,9 @@ class SessionFiles(FilesSource):
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
         for topic, name in self._names.items():
             if f"/{name.removeprefix('/').removeprefix('rt/')}" in _INSTEAD and topic != name:
-                self.metadata["log"] = {**self.metadata.get("log", {}), topic: f"read from {name}"}
+                told = self.metadata.get("log")
+                known = told if isinstance(told, dict) else {}
+                self.metadata["log"] = {**known, topic: f"read from {name}"}
 
     @property
     def has_joint_states(self) -> bool:

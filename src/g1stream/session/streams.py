@@ -13,6 +13,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
+from g1stream.clock import have_one_clock
 from g1stream.dds import messages
 from g1stream.errors import RecordingError
 from g1stream.events import GUARD, LOWCMD_TIMEOUT
@@ -50,13 +51,11 @@ __all__ = [
 
 _TIMES: Final = ("log_time", "publish_time")
 
-#: If half of the messages take longer than this, ns, the clocks differ.
-_SLOWEST_WIRE: Final = 20_000_000
 LEAST_STEP_NS: Final = 10_000_000
 """Least step of a clock that is taken out of times."""
 
-#: Time around a step in which the clock is looked at, ns.
-_NEAR_STEP: Final = 1_000_000_000
+#: Time around a step in which the clock is looked at, ns, and fewest messages on either side.
+_NEAR_STEP, _FEWEST = 1_000_000_000, 5
 
 StreamT = TypeVar("StreamT", bound="Stream")
 
@@ -233,11 +232,17 @@ class Stream:
     def clock_offset(self) -> int:
         """Offset to add to publish times to get the recorder's clock, ns.
 
-        No message arrives before it is sent, and few take longer than 20 ms. If half of them seem
-        to, the clocks of producer and recorder differ. The offset is then the median of log_time -
-        publish_time, which is too large by the usual latency; the two cannot be separated.
+        If half of the messages seem to arrive before they are sent, or to take longer than they do
+        on one machine, the clocks of producer and recorder differ. The offset is then the median of
+        log_time - publish_time, which is too large by the usual latency; the two cannot be
+        separated.
         """
         return self._on_one_clock[2]
+
+    @property
+    def latency(self) -> Ints:
+        """(N,) ns, log_time - publish_time as if no clock had been set, with the offset."""
+        return self._on_one_clock[3]
 
     @property
     def clock_steps(self) -> tuple[ClockStep, ...]:
@@ -245,10 +250,10 @@ class Stream:
         return self._on_one_clock[1]
 
     @cached_property
-    def _on_one_clock(self) -> tuple[Ints, tuple[ClockStep, ...], int]:
-        """`published`, `clock_steps` and `clock_offset`."""
+    def _on_one_clock(self) -> tuple[Ints, tuple[ClockStep, ...], int, Ints]:
+        """`published`, `clock_steps`, `clock_offset` and `latency`."""
         if not len(self):
-            return self.publish_time, (), 0
+            return self.publish_time, (), 0, self.publish_time
         # Producers on the recorder's machine have its clock.
         logged, times = (
             without_steps(one, self._host_steps) for one in (self.log_time, self.publish_time)
@@ -257,9 +262,10 @@ class Stream:
         for row, step in _own_steps(logged, times):
             steps.append(ClockStep(at_ns=int(self.publish_time[row]), step_ns=step))
             times[row:] -= step
-        median = int(np.median(logged - times))
-        offset = 0 if 0 <= median <= _SLOWEST_WIRE else median
-        return read_only(times + offset), tuple(steps), offset
+        latency = read_only(logged - times)
+        median = int(np.median(latency))
+        offset = 0 if have_one_clock(median) else median
+        return read_only(times + offset), tuple(steps), offset, latency
 
 
 def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
@@ -424,7 +430,7 @@ class CommandStream(Stream):
     """The commands to the motors.
 
     Attributes:
-        mode_pr: (N,) 1 if `AB_JOINTS` are the motors A and B, 0 for pitch and roll.
+        mode_pr: (N,) 0 if `AB_JOINTS` are pitch and roll, 1 if they are the motors A and B.
         mode_machine: (N,) the kind of G1 that it is for.
         mode: (N, 29) 1 for a motor that is enabled.
         q, dq, tau: (N, 29) targets: rad, rad/s, N·m.
@@ -635,7 +641,9 @@ def without_steps(times: Ints, steps: Sequence[ClockStep]) -> Ints:
     """
     times, total = times.copy(), 0
     for step in steps:
-        off = np.abs(np.diff(times) - step.step_ns).astype(np.float64)
+        intervals = np.diff(times)
+        usual = np.median(intervals) if len(intervals) else 0.0
+        off = np.abs(intervals - usual - step.step_ns)
         if abs(step.step_ns) < MAX_GAP_NS:
             after = times[1:] - ((step.at_ns or 0) - total)
             off[np.abs(after) > _NEAR_STEP] = np.inf
@@ -654,14 +662,16 @@ def _own_steps(logged: Ints, published: Ints) -> Iterator[tuple[int, int]]:
     arrived, sent = np.diff(logged), np.diff(published)
     if not len(arrived):
         return
-    usual = max(_SLOWEST_WIRE, 3 * int(np.median(arrived)))
-    jumps = np.flatnonzero(
-        (np.abs(sent - arrived) >= LEAST_STEP_NS) & (arrived >= 0) & (arrived <= usual)
-    )
-    latency = logged - published
-    for row in (jumps + 1).tolist():
-        around = _NEAR_STEP // max(1, int(np.median(arrived)))
-        before, after = latency[max(0, row - around) : row], latency[row : row + around]
+    usual = int(np.median(arrived))
+    as_usual = (arrived >= 0) & (arrived <= usual + LEAST_STEP_NS // 2)
+    jumps = np.flatnonzero((np.abs(sent - arrived) >= LEAST_STEP_NS) & as_usual)
+    latency, around = logged - published, max(_FEWEST, _NEAR_STEP // max(1, usual))
+    edges = [0, *(jumps + 1).tolist(), len(latency)]
+    for last, row, following in zip(edges, edges[1:], edges[2:], strict=False):
+        before = latency[max(last, row - around) : row]
+        after = latency[row : min(following, row + around)]
+        if min(len(before), len(after)) < _FEWEST:
+            continue
         step = int(np.median(before) - np.median(after))
         if abs(step - (sent[row - 1] - arrived[row - 1])) < abs(step) / 3:
             yield row, step

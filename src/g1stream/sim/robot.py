@@ -106,7 +106,7 @@ class SimulatedRobot:
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         delay = round((config.command_delay + world.command_delay) * 1e9)
         # In whole periods: a command has waited for half a period on average when it is received.
-        self._delay = delay - delay % self.period
+        self._delay = self.period * int(delay / self.period + 1e-3)  # a period is rounded to ns
         self._arriving: deque[tuple[int, bytes]] = deque()  # commands with their times, ns
         self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
         self._sport_mode_state, self._secondary_imu = SportModeState(), SecondaryImu()

@@ -6,6 +6,7 @@ from g1stream.app.session import Session
 from g1stream.config import Config
 from g1stream.dds.messages import LOWCMD, LOWSTATE, SPORTMODESTATE, encode_samples
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.attach.attached import Recorded, find_motion
 from g1stream.extras.attach.write import write_attached
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -168,6 +169,11 @@ def test_a_second_play_is_another_session(strangers, motion):
     assert [start_of(first), start_of(second)] == pytest.approx([4.0, 24.0], abs=1e-3)
     with pytest.raises(ConfigError, match="2 times"):
         session.attach(motion, play=3)
+
+
+def test_commands_that_are_not_finite_tell_nothing(strangers, motion):
+    asked = Recorded("commands", np.arange(5), np.full((5, 29), np.nan))
+    assert find_motion([asked], Trajectory(motion)) is None
 
 
 def test_joints_that_are_stuck_count_and_joints_that_were_not_commanded_do_not(strangers, motion):

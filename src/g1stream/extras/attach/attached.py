@@ -97,7 +97,7 @@ def find_motion(recorded: Iterable[Recorded], trajectory: Trajectory) -> Found |
         sane = np.flatnonzero((np.abs(q) < NUMBER).all(axis=1))
         _, once = np.unique(published[sane], return_index=True)
         rows = sane[once]
-        if by != "measured joints":
+        if len(rows) and by != "measured joints":
             rows = rows[_sent_first(published[rows], q[rows])]
         if len(rows):
             zero = int(published[rows[0]])

@@ -67,6 +67,8 @@ _MOVES: Final = 0.1
 _KNOWN, _STEP = 5e-4, 1e-3
 #: Largest change of the delay, s, in one of so many linearisations.
 _LONGEST, _LINEARISED = 0.03, 4
+#: Fewest blocks of a second for the errors of the servo law.
+_FEWEST_BLOCKS: Final = 5
 #: Windows of the servo law, s; the low-pass has not settled at their ends, s. A joint's least mean
 #: square of torques in a second, times the samples, (N·m)².
 _SECONDS, _MARGIN, _MOVED = 10.0, 0.1, 1e-2
@@ -305,7 +307,10 @@ def servo_law(records: Sequence[Recorded], robot: G1, delay: float = 0.0) -> Ser
     """
     scale, error, delay_error = np.ones(N_JOINTS), np.full(N_JOINTS, np.inf), np.inf
     for _ in range(_LINEARISED):
-        products = np.stack([block for one in records for block in _blocks(one, robot, delay)])
+        found_blocks = [block for one in records for block in _blocks(one, robot, delay)]
+        if len(found_blocks) < _FEWEST_BLOCKS:  # their scatter says nothing of the errors
+            break
+        products = np.stack(found_blocks)
         total = products.sum(axis=0)
         told = (total[:, 0, 0] > _MOVED * len(products)) & (total[:, 3, 3] > 0.0) & robot.present
         if not told.any():

@@ -35,7 +35,7 @@ def open_arrays(file: MotionFile) -> Poses:
 
 def _beside(file: MotionFile) -> dict[str, Any]:
     """The frame rate, and the names of joints and bodies, in `meta.json` beside the file."""
-    if file.data is not None:
+    if file.data is not None or file.path.suffix.lower() != ".npz":
         return {}
     with suppress(OSError, ValueError, RecursionError):
         content = json.loads(read_file(file.path.parent / BESIDE, SETTINGS_FILE))

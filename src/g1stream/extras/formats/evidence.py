@@ -472,7 +472,10 @@ class _Arrays:
         if not name or len(shape := self._shape(name)) != 2 or shape[0] != len(angles):
             return None
         speeds = np.asarray(self._arrays[name])
-        if speeds.dtype.kind != "f" or not (np.abs(speeds) <= NUMBER).all():  # False for NaN
+        if speeds.dtype.kind != "f":
+            return None
+        speeds = speeds.astype(np.float64, copy=False)
+        if not (np.abs(speeds) <= NUMBER).all():  # False for NaN
             return None
         first = speeds.shape[1] - self._columns.rest - angles.shape[1]
         if first not in (0, 1, 6):  # of the extra column, or of the pelvis

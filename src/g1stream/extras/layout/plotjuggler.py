@@ -21,7 +21,7 @@ from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.session.format import CHANNELS
 from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.streams import PolicyStream
-from g1stream.text import short_name
+from g1stream.text import printable, short_name
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -91,10 +91,10 @@ def plotjuggler_layout(session: Recording, path: str, joints: Sequence[str]) -> 
     )
     equations = SubElement(root, "customMathEquations")
     for name, source in named.items():
-        snippet = SubElement(equations, "snippet", name=name, language="lua")
+        snippet = SubElement(equations, "snippet", name=printable(name), language="lua")
         SubElement(snippet, "global")
         SubElement(snippet, "function").text = "return value"
-        SubElement(snippet, "linked_source").text = source
+        SubElement(snippet, "linked_source").text = printable(source)
     window = {"name": "Main Window", "parent": "main_window"}
     tabs = SubElement(root, "tabbed_widget", window)
     for title, rows in _tabs(joints).items():

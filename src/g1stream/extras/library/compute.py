@@ -240,10 +240,15 @@ def rows_of(task: Task) -> Rows:
     if (failed := rows.motion.status) in ("broken", "error") and limit != hard:
         most = 2 * limit if hard == resource.RLIM_INFINITY else min(2 * limit, hard)
         resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
-        if _rows(task).motion.status != failed:
+        try:
+            again = _rows(task).motion
+        finally:
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+        if again.status != failed:
+            for name in filter(None, (again.output, again.report)):
+                (task.case.out / name).unlink(missing_ok=True)
             first, rows = rows.motion, task.rows("huge", _HUGE)
             rows.motion.seconds, rows.motion.memory = first.seconds, first.memory
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     return rows
 
 

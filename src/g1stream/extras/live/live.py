@@ -17,7 +17,7 @@ import secrets
 import threading
 import time
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from ipaddress import ip_address
 from socket import SO_RCVBUF, SOL_SOCKET
 from typing import TYPE_CHECKING, Any, Final
@@ -163,7 +163,7 @@ class _Entrance:
     async def _enter(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._clients += 1
         gone = OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, asyncio.TimeoutError
-        with closing(writer), suppress(*gone):
+        with closing(writer), suppress(*gone), ExitStack() as entered:
             try:
                 request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _REQUEST_TIMEOUT)
                 if refused := self._refusal(request):
@@ -174,7 +174,8 @@ class _Entrance:
                 # What lies here would be sent to a slow client before what is new.
                 to_server.get_extra_info("socket").setsockopt(SOL_SOCKET, SO_RCVBUF, _PART)
                 to_server.write(request)
-                answer = await from_server.readuntil(b"\r\n")
+                entered.callback(to_server.close)
+                answer = await asyncio.wait_for(from_server.readuntil(b"\r\n"), _REQUEST_TIMEOUT)
                 if b" 101 " not in answer:  # the SDK refuses a client of an older protocol
                     _LOGGER.warning(
                         "a viewer was refused (%s); --live needs Lichtblick of December 2025 or "

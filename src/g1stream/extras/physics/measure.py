@@ -249,6 +249,7 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     # Feet near the floor that are too fast to stand slide on it: they carry, and do not hold.
     near = np.where(frames.corners[..., 2] < LIFTED, 1e3 * frames.speeds, np.inf).min(axis=1)
     carried = ~stands & (near > _SKATING) & np.isfinite(near) & (pull > _UNSUPPORTED * loads.weight)
+    carried &= (up > 0.0) & (np.linalg.norm(force[:, :2], axis=1) <= FRICTION * up)
     glides, pull = np.where(carried, near, 0.0), np.where(carried, 0.0, pull)
     sideways = np.linalg.norm(force[:, :2], axis=1)
     pressed = np.isfinite(beyond)

@@ -47,7 +47,7 @@ def synthetic(**wrong):
     [
         {},
         {"delay": 0.02, "noise": 0.01, "bias": 0.03, "gain": 0.9},
-        {"latency": 0.03, "noise": 0.01},  # fifteen references are published meanwhile
+        {"latency": 0.015, "noise": 0.01},  # seven references are published meanwhile
         {"gaps": ((0.5, 0.1),), "noise": 0.01},
     ],
 )

@@ -103,6 +103,18 @@ def test_a_delayed_command_is_obeyed_at_the_nearest_tick(world, command, late, o
     assert simulated.report.commands == obeyed
 
 
+@pytest.mark.parametrize(("periods", "ticks"), [(0.9, 0), (1.0, 1), (1.9, 1), (2.0, 2)])
+def test_a_delay_is_whole_periods(world, command, periods, ticks):
+    """A command has waited for half a period on average when it is received."""
+    simulated = SimulatedRobot(world, SimConfig(command_delay=periods * PERIOD / 1e9))
+    simulated.receive_command(command.seal(), 0)
+    obeyed = []
+    for tick in range(4):
+        simulated.step(tick * PERIOD)
+        obeyed.append(simulated.report.commands)
+    assert obeyed.index(1) == ticks
+
+
 def test_a_valid_command_moves_the_joint(simulated, world, command, caplog):
     caplog.set_level(logging.INFO)
     run(simulated, range(400), command.seal())

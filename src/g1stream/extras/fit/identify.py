@@ -446,7 +446,8 @@ def _fit(
         default = 0.0 if joint is None else float(getattr(NOMINAL, kind)[joint])
         least, to = _FINEST.get(kind, 0.0), float(reach * error)
         why: Untold = "wide" if to > _TOLD.get(kind, _OF_VALUE * max(abs(value), default)) else ""
-        if kind in _LEAST and joint is not None and misfit[joint]:
+        of_equations = kind in _LEAST and joint is not None and misfit[joint]
+        if of_equations or (kind in ("mass", *AXES) and misfit.all()):
             why = "unlike"
         elif kind == "mass":  # a mass that leaves the link almost none has another cause
             own = float(compiled_dynamics(robot, GRAVITY).body(name).mass[0])
@@ -579,7 +580,7 @@ def _toml(fit: Fit) -> str:
 _WHY: Final = {
     "wide": "the interval is too wide",
     "impossible": "the value is impossible",
-    "unlike": "the joint moves unlike one with such parameters, for example with play; no interval",
+    "unlike": "joints move unlike ones with such parameters, for example with play; no interval",
 }
 
 

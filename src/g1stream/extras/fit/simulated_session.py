@@ -50,10 +50,11 @@ _FIELDS: Final = ("position", "velocity", "effort")
 #: A joint differs if the RMS position difference without noise is above this, rad, and above twice
 #: its noise.
 _DIFFERS: Final = 5e-4
-#: A larger gap, rad, has another cause than parameters, and a delay below this, s, is none.
+#: A larger gap, rad, has another cause than parameters, and a delay whose nearer limit is below
+#: this, s, is none.
 FAR: Final = 0.05
 FAR_OFF: Final = "so much is mostly due to another support (--support) or robot (--robot)"
-_ON_TIME: Final = 1e-3
+_ON_TIME: Final = 5e-4
 #: A cause is reported above this fraction of the difference and number of standard errors.
 _SHARE: Final = 0.1
 _ERRORS: Final = 4.0
@@ -471,7 +472,7 @@ def _render(found: Gap) -> str:
     lines = table(rows, left=(0,)) if shown else []
     delay, notes = found.delay_s or 0.0, list[str]()
     low, high = found.delay_low_s or 0.0, found.delay_high_s or 0.0
-    if abs(delay) > _ON_TIME and low * high > 0.0:
+    if max(low, -high) > _ON_TIME:
         when = f"{1e3 * abs(delay):.1f} ms {'later' if delay > 0.0 else 'earlier'}"
         when += f" ({1e3 * min(abs(low), abs(high)):.1f} to {1e3 * max(abs(low), abs(high)):.1f})"
         notes.append(f"  delay  commands act {when} than in the simulator, at all joints")

@@ -29,7 +29,7 @@ _ABOUT: Final = 0.018
 #: Frames over which speeds are added up, and the least correlations with the way of the joints,
 #: for a usual rate and for another one.
 _FRAMES: Final = 10
-_ALIKE, _EXACT = 0.99, 0.9999
+_ALIKE, _EXACT = 0.99, 0.996
 
 
 def rate_of_times(times: Floats) -> float | None:
@@ -57,7 +57,7 @@ def rate_of_speeds(angles: Floats, speeds: Floats) -> float | None:
     """The rate at which speeds (T, n), rad/s, are those of angles (T, n), Hz; None if at none.
 
     It is the usual rate near the least-squares factor between the way of the joints over ten
-    frames and the sum of their speeds, by the trapezoidal rule; without noise also another one.
+    frames and the sum of their speeds, by the trapezoidal rule; with little noise also another one.
     """
     n_frames = min(_FRAMES, len(angles) - 1)
     sums = np.zeros(angles.shape)

@@ -82,7 +82,7 @@ class Observer:
             if limits is not None:
                 values = np.clip(values, *limits)
             if not history:
-                before = values if contract.history_start == "first step" else 0.0 * values
+                before = np.zeros_like(values) if contract.history_start == "zeros" else values
                 history.extend([before] * (term.history + term.behind))
             history.append(values)
             steps = list(history)[: term.history]

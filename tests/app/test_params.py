@@ -12,7 +12,7 @@ from g1stream.robot.model import G1
 from g1stream.sim.world import MotorCommand
 
 TEXT = """
-command_delay = 0.006
+command_delay = 0.007
 [damping]
 "*" = 0.15
 [friction]
@@ -64,7 +64,7 @@ def test_the_session_and_the_feed_forward_have_them(params):
     info, knows = summary.params, summary.tracking.all_joints
     assert (info.path, info.sha256) == (str(params), sha256(TEXT.encode()).hexdigest())
     assert info.values["mass"] == {"torso_link": 1.0}
-    assert info.values["command_delay"] == 0.006
+    assert info.values["command_delay"] == 0.007
     assert str(info) in " ".join(summary.details.split())
     assert knows.rmse_rad < 0.2 * played(params, "velocity").tracking.all_joints.rmse_rad
     assert knows.delay_s == pytest.approx(0.0, abs=0.001)  # commands are earlier by it

@@ -1,7 +1,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from g1stream.app.session import open_session
@@ -46,16 +45,6 @@ def test_without_flags_a_motion_is_as_it_is_in_the_file(demo):
     motion = parsed("stream", "demo").load(["demo"])
     assert motion.operations == ()
     assert motion.content_sha256 == demo.content_sha256
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_what_a_file_does_not_say_is_told_before_it_is_played(name, demo, tmp_path):
-    path = tmp_path / "bare.csv"
-    np.savetxt(path, demo.joint_pos, delimiter=",")
-    given = [] if name == "demo" else ["bare.csv", "out.npz"]
-    found = [parsed(name, *given, *fps).load([str(path)]).warnings for fps in ([], ["--fps", "30"])]
-    rate = "bare.csv: frame rate: 30 fps, assumed."
-    assert [rate in warnings for warnings in found] == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import g1stream
 from g1stream.cli.main import main
 from g1stream.config import Config, SimConfig
 from g1stream.control.loop import make_loop
-from g1stream.dds.messages import PolicyStep
+from g1stream.dds.messages import LowCmd, PolicyStep
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.replay import replay_policy
 from g1stream.extras.policy.steps import policy_steps
@@ -202,6 +202,47 @@ def test_the_recorded_observations_give_the_recorded_actions(falling, capsys):
     assert main(["policy", "--replay", str(falling.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["same"], told["differing"], told["steps"]) == (True, 0, len(falling.policy))
+
+
+def sent_otherwise(session, act):
+    """A copy of a session whose commands `act` has changed in place."""
+    command = LowCmd()
+
+    def edit(topic, i, message):
+        if topic != "/lowcmd":
+            return message.data
+        command.load(message.data)
+        act(command)
+        return command.seal()
+
+    return copied(session, session.metadata, edit)
+
+
+def test_the_commands_are_those_of_the_policy(falling):
+    found = replay_policy(falling)
+    assert list(found.sent) == ["q", "dq", "tau", "kp", "kd"]
+    assert [one.joint for one in found.sent.values()] == [None] * 5
+    assert found.sent["kp"].share == found.sent["kd"].share == found.sent["tau"].share == 1.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "quantity", "difference"),
+    [
+        (lambda c: c.q.__iadd__(np.float32(0.2)), "q", 0.2),
+        (lambda c: c.q.__setitem__(slice(12), np.roll(c.q[:12], 6)), "q", None),  # legs exchanged
+        (lambda c: c.kp.__imul__(np.float32(2.0)), "kp", None),
+        (lambda c: c.kd.__imul__(np.float32(0.0)), "kd", None),
+        (lambda c: c.tau.__setitem__(3, 20.0), "tau", 20.0),
+        (lambda c: c.dq.__setitem__(3, 1.0), "dq", 1.0),
+    ],
+)
+def test_what_was_sent_otherwise_is_named(falling, wrong, quantity, difference):
+    found = replay_policy(sent_otherwise(falling, wrong))
+    assert not found.differing  # the recorded actions are as they were
+    assert [name for name, one in found.sent.items() if one.joint] == [quantity]
+    assert not found.same
+    if difference is not None:
+        assert found.sent[quantity].difference == pytest.approx(difference, abs=1e-3)
 
 
 def test_the_first_other_action_is_named(falling):

@@ -28,7 +28,8 @@ class Policy(Command):
 
     --replay feeds the recorded observations to the policy and checks that it gives the recorded
     actions, bit for bit. It also compares observations recomputed from LowState and Reference with
-    the recorded ones, term by term.
+    the recorded ones, term by term, and targets, gains and torques that were sent with those of the
+    policy.
 
     Examples:
       g1stream policy holosoma

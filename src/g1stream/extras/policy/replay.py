@@ -2,7 +2,8 @@
 
 Recorded observations give the recorded actions bit for bit if network, runtime and processor are
 the same. Observations recomputed from the recorded LowStates and References are compared with the
-recorded ones term by term. This also compares two runners of a policy.
+recorded ones term by term. Targets, gains and torques of the commands that were sent are compared
+with those of the contract. This also compares two runners of a policy.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from g1stream.extras.policy.observer import Observer, frame_of, state_of
 from g1stream.extras.policy.odometry import OF_BASE
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import PolicyInfo, Record
+from g1stream.session.streams import CommandStream
 from g1stream.text import counted, labelled, table
 from g1stream.types import Phase
 
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from g1stream.session.streams import PolicyStream
     from g1stream.types import Floats
 
-__all__ = ["ActionDifference", "PolicyReplay", "TermDifference", "replay_policy"]
+__all__ = ["ActionDifference", "PolicyReplay", "SentDifference", "TermDifference", "replay_policy"]
 
 #: Rounding of single precision for values of this size; larger differences count.
 _SAME: Final = 1e-5
@@ -84,6 +86,22 @@ class TermDifference(Record, frozen=True):
     time_s: float | None = None
 
 
+class SentDifference(Record, frozen=True):
+    """A quantity of the commands that were sent at the steps in PLAY, beside the contract.
+
+    Attributes:
+        share: fraction of its values that are those of the contract. Limits of position, speed and
+            torque change some positions and velocities.
+        joint: joint whose value is another one in most steps, the one with the largest difference;
+            None if there is none.
+        difference: median of sent - contract for that joint: rad, rad/s, N·m, N·m/rad, N·m·s/rad.
+    """
+
+    share: float
+    joint: str | None = None
+    difference: float | None = None
+
+
 class PolicyReplay(Record, frozen=True):
     """Result of replaying a session through a policy.
 
@@ -98,6 +116,7 @@ class PolicyReplay(Record, frozen=True):
         rebuilt: number of steps whose observation could be recomputed.
         left_out: number of the other steps by reason.
         terms: differences by term, in order.
+        sent: by quantity of a command: q, dq, tau, kp, kd; empty if no command of a step is known.
     """
 
     session: str
@@ -110,11 +129,13 @@ class PolicyReplay(Record, frozen=True):
     rebuilt: int
     left_out: dict[str, int]
     terms: dict[str, TermDifference]
+    sent: dict[str, SentDifference]
 
     @property
     def same(self) -> bool:
-        """Whether all actions and all terms equal the recorded ones."""
-        return not self.differing and all(one.step is None for one in self.terms.values())
+        """Whether actions and terms are the recorded ones, and commands those of the policy."""
+        recomputed = all(one.step is None for one in self.terms.values())
+        return not self.differing and recomputed and all(not s.joint for s in self.sent.values())
 
     def __str__(self) -> str:
         other = " (not the file that was recorded)" if self.same_file is False else ""
@@ -132,7 +153,11 @@ class PolicyReplay(Record, frozen=True):
         for name, one in self.terms.items():
             first = ("", "") if one.step is None else (f"step {one.step}", f"{one.time_s:.2f}")
             rows.append([name, "" if one.max_abs is None else f"{one.max_abs:.2g}", *first])
-        return "\n".join([*lines, "", *table(rows, {0})])
+        sent = [["sent", "as the policy has it", "joint of another value", "median difference"]]
+        for name, of in self.sent.items():
+            other = "" if of.difference is None else f"{of.difference:+.3g}"
+            sent.append([name, f"{of.share:.1%}", of.joint or "", other])
+        return "\n".join([*lines, "", *table(rows, {0}), "", *table(sent, {0, 2})])
 
     def _actions(self) -> str:
         first = self.first
@@ -193,6 +218,7 @@ def replay_policy(session: Session, policy: str | Path | None = None) -> PolicyR
             name: _term(steps, steps.observation[:, at] - rebuilt[:, at])
             for name, at in columns.items()
         },
+        sent=_sent(session, steps, contract),
         **_actions(steps, contract, network),
     )
 
@@ -288,6 +314,45 @@ def _observations(
         if name.partition(".")[0] in (*OF_BASE, "motion_phase"):  # not in the messages
             rebuilt[:, at] = np.nan
     return rebuilt, left_out
+
+
+def _sent(
+    session: Session, steps: PolicyStream, contract: PolicyContract
+) -> dict[str, SentDifference]:
+    """The commands of the steps, which have their publish times, beside targets and gains."""
+    if not session.topics.get(CommandStream.topic):
+        return {}
+    observer, targets = Observer(contract), np.empty(steps.action.shape)
+    for i, action in enumerate(steps.action.astype(np.float64)[:, contract.order]):
+        targets[i] = observer.act(observer.last_action if steps.repeated[i] else action)
+    sent, reference = session.command, session.reference
+    command, asked = (
+        np.array(_found(one.publish_time, steps.publish_time)) for one in (sent, reference)
+    )
+    rows = np.flatnonzero((command >= 0) & (asked >= 0))
+    rows = rows[reference.phase[asked[rows]] == Phase.PLAY]
+    if not len(rows):
+        return {}
+    expected: dict[str, Floats] = {
+        "q": targets[rows],
+        "dq": np.zeros(1),
+        "tau": np.zeros(1),
+        "kp": contract.in_motor_order(contract.kp, contract.held_kp),
+        "kd": contract.in_motor_order(contract.kd, contract.held_kd),
+    }
+    found = {}
+    for name, values in expected.items():
+        apart = sent.rows(name, command[rows]) - values
+        same = np.abs(apart) <= _SAME * np.maximum(1.0, np.abs(values))
+        typical = np.where(same.mean(axis=0) < 0.5, np.median(apart, axis=0), 0.0)
+        worst = int(np.abs(typical).argmax())
+        other = float(typical[worst])
+        found[name] = SentDifference(
+            share=float(same.mean()),
+            joint=JOINT_NAMES[worst] if other else None,
+            difference=other or None,
+        )
+    return found
 
 
 def _references(session: Session, steps: PolicyStream) -> list[int]:

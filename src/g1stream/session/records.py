@@ -254,9 +254,13 @@ class PolicyInfo(Record):
         """Name, numbers of values and steps, and whether the newest is first; empty if unknown."""
         try:
             sizes = [
-                (str(one["name"]), int(one["size"]), int(one.get("history", 1)), newest is True)
+                (
+                    str(one["name"]),
+                    int(one["size"]),
+                    int(one.get("history", 1)),
+                    one.get("newest_first") is True,
+                )
                 for one in self.contract["terms"]
-                for newest in [one.get("newest_first")]
             ]
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
             return []

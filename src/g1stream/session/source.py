@@ -198,7 +198,7 @@ def _session_topics(
             those of the usual name, then those with the most messages.
         kinds: schema name and encoding by topic.
     """
-    names = {topic: f"/{topic.removeprefix('/').removeprefix('rt/')}" for topic in counts}
+    names = {topic: _plain(topic) for topic in counts}
     found: dict[str, str] = {}
 
     def rank(topic: str) -> tuple[bool, bool, bool, int]:
@@ -217,6 +217,11 @@ def _session_topics(
                 found[found[usual]] = found[usual]
             found[usual] = topic
     return found
+
+
+def _plain(name: str) -> str:
+    """The name of a topic as a session has it, such as /lowstate of rt/lowstate."""
+    return f"/{name.removeprefix('/').removeprefix('rt/')}"
 
 
 def _package(kind: str) -> str:
@@ -242,7 +247,7 @@ class SessionFiles(FilesSource):
         self._read_from(self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
         for topic, name in self._names.items():
-            if f"/{name.removeprefix('/').removeprefix('rt/')}" in _INSTEAD and topic != name:
+            if _plain(name) in _INSTEAD and topic != name:
                 told = self.metadata.get("log")
                 known = told if isinstance(told, dict) else {}
                 self.metadata["log"] = {**known, topic: f"read from {name}"}

@@ -60,6 +60,15 @@ _NEAR_STEP, _FEWEST = 1_000_000_000, 5
 StreamT = TypeVar("StreamT", bound="Stream")
 
 
+class _OnOneClock(NamedTuple):
+    """The properties of a `Stream` that follow from its two times."""
+
+    published: Ints
+    steps: tuple[ClockStep, ...]
+    offset: int
+    latency: Ints
+
+
 class Stream:
     """N samples of one topic, oldest first; all arrays are read-only.
 
@@ -218,7 +227,7 @@ class Stream:
     @cached_property
     def published(self) -> Ints:
         """(N,) ns, publish times on the recorder's clock, as if no clock had been set."""
-        return self._published() if self._published else self._on_one_clock[0]
+        return self._published() if self._published else self._on_one_clock.published
 
     def _zero(self) -> int:
         return self._start() if self._start else self.start_ns
@@ -237,23 +246,22 @@ class Stream:
         log_time - publish_time, which is too large by the usual latency; the two cannot be
         separated.
         """
-        return self._on_one_clock[2]
+        return self._on_one_clock.offset
 
     @property
     def latency(self) -> Ints:
         """(N,) ns, log_time - publish_time as if no clock had been set, with the offset."""
-        return self._on_one_clock[3]
+        return self._on_one_clock.latency
 
     @property
     def clock_steps(self) -> tuple[ClockStep, ...]:
         """Steps of the producer's clock alone, such as that of a robot, in its own time."""
-        return self._on_one_clock[1]
+        return self._on_one_clock.steps
 
     @cached_property
-    def _on_one_clock(self) -> tuple[Ints, tuple[ClockStep, ...], int, Ints]:
-        """`published`, `clock_steps`, `clock_offset` and `latency`."""
+    def _on_one_clock(self) -> _OnOneClock:
         if not len(self):
-            return self.publish_time, (), 0, self.publish_time
+            return _OnOneClock(self.publish_time, (), 0, self.publish_time)
         # Producers on the recorder's machine have its clock.
         logged, times = (
             without_steps(one, self._host_steps) for one in (self.log_time, self.publish_time)
@@ -265,7 +273,7 @@ class Stream:
         latency = read_only(logged - times)
         median = int(np.median(latency))
         offset = 0 if have_one_clock(median) else median
-        return read_only(times + offset), tuple(steps), offset, latency
+        return _OnOneClock(read_only(times + offset), tuple(steps), offset, latency)
 
 
 def _as_float64(values: NDArray[Any]) -> NDArray[Any]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from g1stream.cli.main import main
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
 from g1stream.motion.check import check_motion
@@ -113,3 +114,14 @@ def test_held_targets_are_a_warning(run, leaping, tmp_path, rate, margin, least)
     assert held["count"] > least
     assert report["n_held"] >= held["count"]
     assert (done.code, report["within_limits"]) == (0, True)
+
+
+def test_quiet_tells_problems_alone_each_on_its_lines(tmp_path, capsys):
+    demo = load_motion("demo")
+    path = replace(demo, joint_pos=demo.joint_pos * 3.0).save(tmp_path / "wild.csv")
+    for name, code in ((str(path), 1), ("demo", 0)):
+        assert main(["motion", name, "--quiet"]) == code
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert bool(err) == bool(code)
+        assert "\\n" not in err  # a line break that was escaped

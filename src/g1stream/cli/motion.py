@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -75,8 +76,10 @@ class Inspect(SettingsCommand, MotionPartFlags):
             max_tilt = config.safety.tilt_limit("free")
             if is_quiet():
                 *found, _ = _result_lines(report, max_tilt)
-                print_warning(*(text.strip() for text in found))
-            print_lines(render(report, evidence, max_tilt))
+                if found:
+                    print_lines("\n".join(found), sys.stderr)
+            else:
+                print_lines(render(report, evidence, max_tilt))
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 

@@ -36,7 +36,8 @@ class Outcome:
         worst_dq: rad/s.
         worst_torque: of kp (q - measured) + kd (dq - measured) + tau, as a share of the effort.
         silence_ms: longest time between two commands, less what the robot's process lost itself.
-        handover_ms: from the last command of the first publisher to the first of the next one.
+        handover_ms: from the last command of the first publisher to the first of the next one, less
+        what the robot's process lost meanwhile: a machine that stalls delays the guard as well.
         ending: what the last command is: damped, handed back, stiff or none.
         file: complete, cut, unreadable or none.
         wrong: what must not be.
@@ -60,7 +61,7 @@ def judge(outcome: Outcome, record: dict[str, Any], path: Path) -> None:
     """Fill in what the robot's record and the session file say, and what is wrong with it."""
     received = [one.tobytes() for one in record["command"]]
     ours = _structs(record)["reserve"][:, 0] != ROGUE
-    record |= {name: record[name][ours] for name in record if name != "pauses"}
+    record |= {name: record[name][ours] for name in record if name not in ("pauses", "wall")}
     if ours.any():
         _measure(outcome, record)
     if path.exists():
@@ -169,8 +170,9 @@ SILENCE: Final = 1500.0
 DAMPED: Final = 0.4
 
 
-#: Time after a pause of the robot's process until commands are made with a state after it, ns.
-_SETTLED: Final = 20_000_000
+#: A pause of the robot's process after which its state is not that of its commands, and the time
+#: until commands are made with a state after it, ns.
+_LONG, _SETTLED = 8_000_000, 20_000_000
 
 
 def _in_a_pause(record: dict[str, Any]) -> Any:
@@ -181,22 +183,28 @@ def _in_a_pause(record: dict[str, Any]) -> Any:
     """
     received, paused = record["received"], np.zeros(len(record["received"]), bool)
     for begin, end in record["pauses"]:
-        paused |= (received >= begin) & (received <= end + _SETTLED)
+        if end - begin > _LONG:
+            paused |= (received >= begin) & (received <= end + _SETTLED)
     return paused
+
+
+def _gaps(times: Any, pauses: Any) -> Any:
+    """(N-1,) ns between times (N,), less the pauses (M, 2) of the robot's process."""
+    since, until = times[:-1], times[1:]
+    gaps = until - since
+    for begin, end in pauses:
+        gaps = gaps - np.maximum(0, np.minimum(until, end) - np.maximum(since, begin))
+    return gaps
 
 
 def _pauses(outcome: Outcome, record: dict[str, Any]) -> None:
     """The longest time without a command, and that until another publisher took over."""
-    received = record["received"]
-    since, until = received[:-1], received[1:]
-    gaps = until - since
-    for begin, end in record["pauses"]:  # our own process was not scheduled
-        gaps = gaps - np.maximum(0, np.minimum(until, end) - np.maximum(since, begin))
+    gaps = _gaps(record["received"], record["pauses"])
     outcome.silence_ms = float(gaps.max(initial=0)) / 1e6
     changes = np.flatnonzero(np.diff(record["writer"]))
     if len(changes):
         # The robot may receive late. The stream's stamp is from before its write.
-        published = np.diff(record["published"])
+        published = _gaps(record["published"], record["pauses"] + record["wall"])
         outcome.handover_ms = float(min(gaps[changes[0]], published[changes[0]])) / 1e6
 
 

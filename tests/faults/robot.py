@@ -179,8 +179,8 @@ class Robot:
             deadline = max(deadline + PERIOD, time.monotonic_ns() - PERIOD)
             time.sleep(max(0.0, (deadline - time.monotonic_ns()) / 1e9))
             now = time.monotonic_ns()
-            if now - last > 5 * PERIOD:
-                self.pauses.append((last, now))
+            if now - last > 2 * PERIOD:
+                self.pauses.append((last + PERIOD, now))
             last = now
             faults = self.active()
             doing = {fault["do"]: fault for fault in faults if "do" in fault}
@@ -209,6 +209,7 @@ class Robot:
             q=np.array(columns[4]).reshape(-1, 29),
             dq=np.array(columns[5]).reshape(-1, 29),
             pauses=np.array(self.pauses, np.int64).reshape(-1, 2),
+            wall=time.time_ns() - time.monotonic_ns(),
         )
 
 

@@ -399,14 +399,21 @@ def _run_child(parent: Parent) -> None:
         commands = RawWriter(participant, receiver.topic, user_data=IDLE)
         events = dds_log_handler(participant, GUARD)
         scheduled = on_time(settings.priority, helpers=participant.threads)
+        # Another receiver, because a receiver knows its last command.
+        rehearse = partial(_rehearse, load_receiver(settings.via, settings.period, settings.damp))
         with handled_by(events, ConsoleHandler()), scheduled:
+            rehearse()
             parent.ready()
-            if why := _watch(parent, heartbeat, settings, commands.subscribers):
+            if why := _watch(parent, heartbeat, settings, commands.subscribers, rehearse):
                 _end(heartbeat, settings, receiver, commands, why)
 
 
 def _watch(
-    parent: Parent, heartbeat: Heartbeat, settings: _Settings, subscribers: Callable[[], int]
+    parent: Parent,
+    heartbeat: Heartbeat,
+    settings: _Settings,
+    subscribers: Callable[[], int],
+    rehearse: Callable[[], None],
 ) -> Takeover:
     """Wait until the guard has to take over; NONE if the stream has ended and damped."""
     watch, due = Watch(settings.limit), time.monotonic_ns()
@@ -419,6 +426,8 @@ def _watch(
             return why
         else:
             due = watch.next_look(now)
+            if due - last_write >= settings.limit:  # the last look before a takeover
+                rehearse()
         parent.beat()
     return Takeover.ENDED if heartbeat.last_write else Takeover.NONE
 
@@ -429,6 +438,15 @@ def _state(pid: int) -> Takeover:
     if state in ("", "Z", "X"):
         return Takeover.ENDED
     return Takeover.STOPPED if state in "Tt" else Takeover.NONE
+
+
+def _rehearse(receiver: Receiver) -> None:
+    """Run the slow parts of a takeover. Code that has not run for a second takes some ms."""
+    command = LowCmd()
+    command.load(command.tobytes())
+    next(receiver.end(command))
+    with suppress(OSError), _here(os.getpid()):
+        pass
 
 
 def _fence(heartbeat: Heartbeat, settings: _Settings, why: Takeover) -> None:

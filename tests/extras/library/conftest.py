@@ -1,6 +1,7 @@
 import pytest
 
 import g1stream
+from dask_cluster import dask_cluster
 
 
 @pytest.fixture(scope="session")
@@ -17,6 +18,13 @@ def motions(tmp_path_factory):
     (directory / "notes.txt").write_text("no motion")
     (directory / ".hidden.csv").write_text("no motion")
     return directory
+
+
+@pytest.fixture(scope="session")
+def cluster():
+    """Address of a scheduler with one worker, for tests that are not about processes."""
+    with dask_cluster() as (address, _, _):
+        yield address
 
 
 @pytest.fixture(scope="session")

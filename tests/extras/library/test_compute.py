@@ -17,7 +17,7 @@ SHORT = {"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
 
 
 @pytest.mark.slow
-def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
+def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path, cluster):
     path, config = motions / "first.npz", load_config(over=SHORT)
     cases = [
         g1stream.library.LibraryCase(
@@ -44,7 +44,7 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
         assert joints.loc[name, "torque_p99"] == metrics.torque.joints[name].p99_nm
     # What is recorded changes nothing.
     bare = g1stream.library.LibraryCase("simulate", tmp_path / "bare", config, "bolted")
-    g1stream.library.run_library([str(path)], [bare], workers=1)
+    g1stream.library.run_library([str(path)], [bare], cluster=cluster)
     (other,) = g1stream.library.open_library(bare.out).motions.to_dict("records")
     for name in ("rmse", "p99", "delay", "mpjpe", "mpjpe_root", "torque_rms", "power", "success"):
         assert other[name] == pytest.approx(row[name], rel=1e-12, nan_ok=True)
@@ -55,11 +55,11 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_motion_beyond_the_limits_is_refused(tmp_path):
+def test_a_motion_beyond_the_limits_is_refused(tmp_path, cluster):
     motion = g1stream.load_motion("demo").trim(0.0, 2.0).at_speed(40.0)
     motion.save(tmp_path / "fast.npz")
     case = g1stream.library.LibraryCase("simulate", tmp_path / "out", support="bolted")
-    run = g1stream.library.run_library([str(tmp_path / "fast.npz")], [case], workers=1)
+    run = g1stream.library.run_library([str(tmp_path / "fast.npz")], [case], cluster=cluster)
     (row,) = g1stream.library.open_library(tmp_path / "out").motions.to_dict("records")
     assert (run.failed, row["status"]) == (1, "refused")
     assert "rad/s" in row["reason"]
@@ -68,9 +68,9 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fps"), [("csv", 30.0), ("mcap", 30.0), ("sonic", 50.0)])
-def test_converted_files_are_a_library_of_the_same_motions(motions, tmp_path, name, fps):
+def test_converted_files_are_a_library_of_the_same_motions(motions, tmp_path, name, fps, cluster):
     case = g1stream.library.LibraryCase("convert", tmp_path, format=name)
-    run = g1stream.library.run_library([str(motions)], [case], workers=1)
+    run = g1stream.library.run_library([str(motions)], [case], cluster=cluster)
     assert (run.done, run.failed) == (4, 1)
     rows = g1stream.library.open_library(tmp_path).motions
     outputs = {}

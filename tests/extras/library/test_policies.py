@@ -83,11 +83,11 @@ def test_flags_that_do_not_go_with_a_policy(file, motions, monkeypatch, tmp_path
 
 
 @pytest.mark.slow
-def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_path, capsys):
+def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_path, capsys, cluster):
     one, other = file("one.onnx"), file("two.onnx", "neither")
     out = tmp_path / "out"
     command = ["library", "simulate", str(motions / "first.npz"), "-o", str(out), "--json"]
-    command += ["--workers", "1", "--sweep", "sim.command_delay=0,0.008"]
+    command += ["--cluster", cluster, "--sweep", "sim.command_delay=0,0.008"]
     assert main([*command, "--policy", str(one), "--policy", str(other)]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(printed) == 4
@@ -106,12 +106,12 @@ def test_a_policy_that_is_refused_is_a_row_with_its_cause(file, motions, tmp_pat
 
 @pytest.mark.slow
 @needs_policies
-def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path):
+def test_the_row_of_a_policy_is_that_of_its_rollout(tmp_path, cluster):
     path = tmp_path / "dance.npz"
     g1stream.load_motion(DANCE).trim(0.0, 0.5).save(path)
     short = {"stream.ramp": 0.5, "stream.stand": 0.5, "stream.hold": 0.0, "stream.damp": 0.5}
     one = case(HOLOSOMA, tmp_path / "out", **short)
-    run = g1stream.library.run_library([str(path)], [one], workers=1)
+    run = g1stream.library.run_library([str(path)], [one], cluster=cluster)
     assert (run.done, run.failed) == (1, 0)
     (row,) = g1stream.library.open_library(tmp_path / "out").motions.to_dict("records")
     session = g1stream.rollout(path, config=one.config)

@@ -75,35 +75,35 @@ def test_the_example_of_the_docs(checked, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_only_what_changed_is_computed_again(motions, tmp_path):
+def test_only_what_changed_is_computed_again(motions, tmp_path, cluster):
     case = LibraryCase("check", tmp_path)
     places = [str(motions / "first.npz"), str(motions / "second.csv")]
-    assert run_library(places[:1], [case], workers=1).done == 1
-    run = run_library(places, [case], workers=1)
+    assert run_library(places[:1], [case], cluster=cluster).done == 1
+    run = run_library(places, [case], cluster=cluster)
     assert (run.known, run.done, run.complete) == (1, 1, True)
     other = replace(case, config=load_config(over={"safety.max_tilt": 0.4}))
-    run = run_library(places, [other], workers=1)
+    run = run_library(places, [other], cluster=cluster)
     assert (run.known, run.done) == (0, 2)
     assert len(open_library(tmp_path).motions) == 2
     # A row that another one has replaced is computed again.
-    assert run_library(places[:1], [case], workers=1).known == 0
-    assert run_library(places[:1], [other], workers=1).known == 0
+    assert run_library(places[:1], [case], cluster=cluster).known == 0
+    assert run_library(places[:1], [other], cluster=cluster).known == 0
     # What is recorded changes nothing in a check.
     same = replace(other, config=load_config(over={"safety.max_tilt": 0.4, "record.tf_rate": 9.0}))
-    assert run_library(places, [same], workers=1).known == 2
+    assert run_library(places, [same], cluster=cluster).known == 2
 
 
 @pytest.mark.slow
-def test_slow_and_huge_motions_are_rows(tmp_path):
+def test_slow_and_huge_motions_are_rows(tmp_path, cluster):
     g1stream.load_motion("demo").looped(60).save(tmp_path / "long.npz")
     case = LibraryCase("check", tmp_path / "out")
     for limits, status in ((Limits(seconds=1e-3), "slow"), (Limits(megabytes=20.0), "huge")):
-        run = run_library([str(tmp_path)], [case], workers=1, limits=limits)
+        run = run_library([str(tmp_path)], [case], cluster=cluster, limits=limits)
         assert (run.done, run.failed) == (1, 1)
         (row,) = open_library(tmp_path / "out").motions.to_dict("records")
         assert (row["status"], row["limits"]) == (status, str(limits))
         # Within the same limits it would fail again.
-        assert run_library([str(tmp_path)], [case], workers=1, limits=limits).known == 1
+        assert run_library([str(tmp_path)], [case], cluster=cluster, limits=limits).known == 1
 
 
 def start(*arguments):
@@ -162,11 +162,11 @@ def test_processes_that_are_killed_lose_nothing(many, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_fall_fails_a_condition_on_the_error_before_it(tmp_path):
+def test_a_fall_fails_a_condition_on_the_error_before_it(tmp_path, cluster):
     demo = g1stream.load_motion("demo")
     demo.trim(0.0, 3.0).save(tmp_path / "falls.npz")
     given = ["library", "simulate", str(tmp_path / "falls.npz"), "-o", str(tmp_path / "out")]
-    given += ["--support", "free", "--workers", "1", "--fail-if", "rmse > 100"]
+    given += ["--support", "free", "--cluster", cluster, "--fail-if", "rmse > 100"]
     assert main(given) == 1
     (row,) = open_library(tmp_path / "out").motions.to_dict("records")
     assert (row["status"], row["completed"], row["rmse"] < 100) == ("ok", False, True)
@@ -175,10 +175,10 @@ def test_a_fall_fails_a_condition_on_the_error_before_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command(motions, tmp_path, capsys):
+def test_the_command(motions, tmp_path, capsys, cluster):
     def run(*arguments):
         out = str(tmp_path / "out")
-        code = main(["library", "check", str(motions), "-o", out, "--workers", "1", *arguments])
+        code = main(["library", "check", str(motions), "-o", out, "--cluster", cluster, *arguments])
         return code, *capsys.readouterr()
 
     code, out, _ = run("--fail-if", "max_speed > 1000")
@@ -257,17 +257,17 @@ def test_the_rate_is_that_of_all_rows_that_are_done():
     assert "left" not in run.status()[1]
 
 
-def test_a_broken_file_has_a_row_though_its_copy_was_repaired(tmp_path):
+def test_a_broken_file_has_a_row_though_its_copy_was_repaired(tmp_path, cluster):
     motions, out = tmp_path / "motions", tmp_path / "out"
     motions.mkdir()
     for name in ("a.csv", "b.csv"):
         (motions / name).write_text("1\n2\n")
     case = LibraryCase("check", out)
-    assert run_library([str(motions)], [case], workers=1).done == 1
+    assert run_library([str(motions)], [case], cluster=cluster).done == 1
     assert list(by_name(open_library(out))) == ["a"]
     g1stream.load_motion("demo").trim(0.0, 1.0).save(motions / "a.csv", force=True)
     for _ in range(2):
-        run_library([str(motions)], [case], workers=1)
+        run_library([str(motions)], [case], cluster=cluster)
     found = by_name(open_library(out))
     assert {name: row["status"] for name, row in found.items()} == {"a": "ok", "b": "broken"}
 
@@ -311,16 +311,16 @@ def test_a_library_does_not_hide_its_motions(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_file_that_cannot_be_written_is_tried_again(motions, tmp_path):
+def test_a_file_that_cannot_be_written_is_tried_again(motions, tmp_path, cluster):
     source, case = str(motions / "second.csv"), LibraryCase("convert", tmp_path, format="npz")
     (tmp_path / "converted").write_text("in the way")
-    assert run_library([source], [case], workers=1).failed == 1
+    assert run_library([source], [case], cluster=cluster).failed == 1
     (tmp_path / "converted").unlink()
-    again = run_library([source], [case], workers=1)
+    again = run_library([source], [case], cluster=cluster)
     assert (again.known, again.done, again.failed) == (0, 1, 0)
 
 
-def test_each_motion_of_a_file_has_a_row(tmp_path):
+def test_each_motion_of_a_file_has_a_row(tmp_path, cluster):
     demo = g1stream.load_motion("demo")
     part = {"dof": demo.joint_pos[:40], "root_pos": demo.root_pos[:40], "fps": 30}
     part["root_quat_wxyz"] = demo.root_quat_wxyz[:40]
@@ -329,7 +329,7 @@ def test_each_motion_of_a_file_has_a_row(tmp_path):
     for place, names in ((tmp_path, {"../one", "two"}), (f"{path}:two", {"two"})):
         out = tmp_path.with_name(f"{tmp_path.name} {len(names)}")
         case = LibraryCase("convert", out, format="npz")
-        run = run_library([str(place)], [case], workers=1)
+        run = run_library([str(place)], [case], cluster=cluster)
         rows = by_name(open_library(out))
         assert (run.files, run.done, run.failed) == (1, len(names), 0)
         assert all((out / row["output"]).parent.name == "converted" for row in rows.values())

@@ -75,13 +75,11 @@ def test_workers_take_messages_only_from_who_has_their_key(client):
     assert address.startswith("tls://127.0.0.1:")
     workers = client.scheduler_info()["workers"]
     assert all(one.startswith("tls://127.0.0.1:") for one in workers)
-    # Other sockets of this process and other children are those of other tests.
+    # Other sockets of this process and other children, and theirs, are those of other tests.
     info = client.scheduler_info()
     ours = {int(address.rpartition(":")[2]), *info["services"].values()}
     of_dask = [
-        one
-        for one in psutil.Process().children(recursive=True)
-        if "spawn_main" in " ".join(one.cmdline())
+        one for one in psutil.Process().children() if "spawn_main" in " ".join(one.cmdline())
     ]
     sockets = [one for process in of_dask for one in process.net_connections("tcp")]
     sockets += [one for one in psutil.Process().net_connections("tcp") if one.laddr.port in ours]
@@ -96,7 +94,7 @@ def test_workers_that_are_killed_at_random_lose_nothing(many, tmp_path):
     def kill():
         chance = random.Random(0)
         while not over.wait(chance.uniform(0.3, 1.2)):
-            children = psutil.Process().children(recursive=True)
+            children = psutil.Process().children()
             workers = [one for one in children if "spawn_main" in " ".join(one.cmdline())]
             if workers:
                 chance.choice(workers).send_signal(signal.SIGKILL)

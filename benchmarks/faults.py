@@ -117,7 +117,7 @@ def told(outcome: Outcome) -> str:
 
 def table(outcomes: list[Outcome], *, markdown: bool = False) -> str:
     """The outcomes as text, or as a table in Markdown with a row before each group."""
-    rows = [["fault", "exit", "last command", "torque", "ms", "reason told"]]
+    rows = [["fault", "exit, last command", "torque", "ms", "reason told"]]
     if markdown:
         rows.append(["---"] * len(rows[0]))
     group = ""
@@ -132,7 +132,7 @@ def table(outcomes: list[Outcome], *, markdown: bool = False) -> str:
                 f"{outcome.handover_ms or outcome.silence_ms:.0f}",
             ]
         last = outcome.ending if outcome.commands else "none sent"
-        rows.append([outcome.fault.name, str(outcome.code), last, *figures, told(outcome)])
+        rows.append([outcome.fault.name, f"{outcome.code}, {last}", *figures, told(outcome)])
     if markdown:
         return "\n".join(f"| {' | '.join(row)} |" for row in rows)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

@@ -112,7 +112,7 @@ def told(outcome: Outcome) -> str:
         r"error: (.+)", outcome.said
     )
     text = json.loads(f'"{found[0]}"') if found else ""
-    return re.sub(r"/tmp/\S+/| \([^()]*\)", "", text).rstrip(".")
+    return re.sub(r"/tmp/\S+/| \([^()]*\)|, \d+ ms after its last command", "", text).rstrip(".")
 
 
 def table(outcomes: list[Outcome], *, markdown: bool = False) -> str:

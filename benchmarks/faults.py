@@ -107,12 +107,12 @@ def _cpu_of(pid: int) -> float:
 
 
 def told(outcome: Outcome) -> str:
-    """The reason that the program gives, without folders and what stands in brackets."""
+    """The reason that the program gives, up to a colon, without folders and brackets."""
     found = re.findall(r'"reason": "(.+)"', outcome.said) or re.findall(
         r"error: (.+)", outcome.said
     )
     text = json.loads(f'"{found[0]}"') if found else ""
-    return re.sub(r"/tmp/\S+/| \([^()]*\)|, \d+ ms after its last command", "", text).rstrip(".")
+    return re.sub(r"/tmp/\S+/| \([^()]*\)", "", text).partition(": ")[0].rstrip(".")
 
 
 def table(outcomes: list[Outcome], *, markdown: bool = False) -> str:

@@ -80,7 +80,8 @@ def profile_table() -> str:
         ProfileConstants._fields, PROFILES["simulator"], PROFILES["robot"], strict=True
     ):
         text = about_constant[name].partition(";")[0].rstrip(".")
-        text = f"{name.replace('_', ' ')} {text}" if text.startswith("of ") else text
+        words = name.replace("max_", "maximum_").replace("_", " ")
+        text = f"{words} {text}" if text.startswith("of ") else text
         rows.append([name, _value(simulator), _value(robot), text])
     return _table(("name", "simulator", "robot", "what"), rows)
 

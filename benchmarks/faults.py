@@ -107,36 +107,38 @@ def _cpu_of(pid: int) -> float:
 
 
 def told(outcome: Outcome) -> str:
-    """The reason that the program gives, without what differs from run to run."""
+    """The reason that the program gives, up to a colon, without folders and brackets."""
     found = re.findall(r'"reason": "(.+)"', outcome.said) or re.findall(
         r"error: (.+)", outcome.said
     )
     text = json.loads(f'"{found[0]}"') if found else ""
-    return re.sub(r"/tmp/\S+/|pid \d+ on \S+", "", text).rstrip(".")
+    return re.sub(r"/tmp/\S+/| \([^()]*\)", "", text).partition(": ")[0].rstrip(".")
 
 
-def table(outcomes: list[Outcome], separator: str = "  ") -> str:
-    """The outcomes as text, or with `|` as Markdown."""
-    head = ["fault", "exit", "last command", "rad", "rad/s", "torque", "ms", "reason told"]
-    rows = []
+def table(outcomes: list[Outcome], *, markdown: bool = False) -> str:
+    """The outcomes as text, or as a table in Markdown with a row before each group."""
+    rows = [["fault", "exit, last command", "torque", "ms", "reason told"]]
+    if markdown:
+        rows.append(["---"] * len(rows[0]))
+    group = ""
     for outcome in outcomes:
-        figures = ["", "", "", ""]
+        if markdown and outcome.fault.group != group:
+            group = outcome.fault.group
+            rows.append([f"**{group}**", *[""] * (len(rows[0]) - 1)])
+        figures = ["", ""]
         if outcome.commands:
             figures = [
-                f"{outcome.worst_step:.3f}",
-                f"{outcome.worst_dq:.1f}",
                 f"{outcome.worst_torque:.0%}",
                 f"{outcome.handover_ms or outcome.silence_ms:.0f}",
             ]
         last = outcome.ending if outcome.commands else "none sent"
-        rows.append([outcome.fault.name, str(outcome.code), last, *figures, told(outcome)])
-    if separator == "|":
-        lines = [head, ["---"] * len(head), *rows]
-        return "\n".join(f"| {' | '.join(row)} |" for row in lines)
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+        rows.append([outcome.fault.name, f"{outcome.code}, {last}", *figures, told(outcome)])
+    if markdown:
+        return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join(
-        separator.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in [head, *rows]
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
     )
 
 
@@ -180,9 +182,7 @@ def main() -> None:
         print(json.dumps(found, indent=2))
         return
     if args.markdown:
-        for group in dict.fromkeys(fault.group for fault in FAULTS):
-            some = [outcome for outcome in outcomes if outcome.fault.group == group]
-            print(f"**{group}**\n\n{table(some, '|')}\n")
+        print(table(outcomes, markdown=True))
         return
     print(table(outcomes))
     for outcome in outcomes:

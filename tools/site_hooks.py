@@ -28,8 +28,10 @@ _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL
 )
 _FIELDS = re.compile(r"^\{\{ fields (\S+) \}\}$", re.MULTILINE)
-_FILE = re.compile(r"^\{\{ file (\S+) \}\}$", re.MULTILINE)
-_NOTEBOOK = re.compile(r"^\{\{ notebook (\S+) \}\}$", re.MULTILINE)
+#: On a forge, the sentence before a file says what the site puts there.
+_HERE = r"^(?:The site puts .* here:\n\n)?"
+_FILE = re.compile(_HERE + r"\{\{ file (\S+) \}\}$", re.MULTILINE)
+_NOTEBOOK = re.compile(_HERE + r"\{\{ notebook (\S+) \}\}$", re.MULTILINE)
 _LINK = re.compile(r"\[([^\]]+)\]\(([^)#:]+)(#[^)]*)?\)")
 
 

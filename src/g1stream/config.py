@@ -122,8 +122,8 @@ def setting(
         advanced: show the flag only in --help-all.
         metavar: placeholder for the flag's value, if neither unit nor type describes it.
         example: a value to show if there is no default.
-        robot: value with the profile `robot`, if it is not the default; docs/safety.md has the
-            reasons.
+        robot: value with the profile `robot`, if it is not the default; docs/safety.md has a
+            table of these.
         dangerous: any other value than the default is less careful.
         needs: what the flag needs, as in `flag` of cli/flags.py.
         limits: `ge`, `gt`, `le`, `lt` and the other constraints of pydantic.

@@ -58,6 +58,17 @@ def test_the_page_of_commands_has_every_command():
     assert {name for name, *_ in commands_of("docs/commands.md")} == set(COMMANDS)
 
 
+def test_the_tables_of_pages_are_what_the_program_uses():
+    path = ROOT / "tools" / "make_support_page.py"
+    spec = importlib.util.spec_from_file_location("make_support_page", path)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    assert tool.TABLES
+    for name in tool.TABLES:
+        page = PAGES[f"docs/{name}"]
+        assert tool.with_tables(page, name) == page, "run tools/make_support_page.py"
+
+
 @pytest.fixture
 def here(play, write_session, monkeypatch, tmp_path):
     """A working directory with session.mcap in it."""

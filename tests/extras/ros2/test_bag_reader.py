@@ -270,7 +270,7 @@ def test_joint_states_of_foxglove(tmp_path, motion):
 
 @pytest.mark.parametrize("out", ["a.csv", "a.npz", "a.mcap", "bag"])
 def test_convert_and_back(tmp_path, motion, out):
-    """The table of round trips in docs/formats.md."""
+    """A motion comes back to the last bit."""
     source, path = motion.save(tmp_path / "part.npz"), tmp_path / out
     if out == "bag":
         assert main(["convert", str(source), str(tmp_path / "a.mcap")]) == 0

@@ -54,20 +54,19 @@ def test_a_motion_is_as_slow_as_the_simulator(ticks, pace):
 
 
 @pytest.mark.parametrize("ticks", [True, False])
-def test_a_motion_waits_while_the_simulator_stalls_and_catches_up_with_it(ticks):
+def test_a_motion_waits_while_no_lowstate_arrives_and_goes_on_where_it_was(ticks):
+    """Also where the robot has gone on meanwhile, so that its tick leaps by 300 ms."""
     robot = Robot(ticks=ticks)
     robot.run(0.5)
     robot.run(0.3, silent=True)
     assert robot.time.delay == pytest.approx(0.3e9 - 2 * _SLACK, abs=_PERIOD)
-    # The simulator has gone on meanwhile: its tick leaps by 300 ms. Without a tick, it stood still.
     waits = robot.run(0.1)
-    assert (min(waits) == -20 * _MS) == ticks
-    stood = 0.0 if ticks else 0.3e9 - 20 * _MS
-    assert robot.time.delay == pytest.approx(stood, abs=_SLACK if ticks else 1.5 * _SLACK)
+    assert min(waits) >= -20 * _MS
+    assert robot.time.delay == pytest.approx(0.3e9 - 20 * _MS, abs=1.5 * _SLACK)
 
 
 @pytest.mark.parametrize("robot_too", [False, True])
-def test_a_loop_that_stalled_catches_up_or_waits_as_the_robot_did(robot_too):
+def test_a_motion_waits_for_as_long_as_the_loop_stalled(robot_too):
     """The loop has delayed the motion by what it stalled beyond 18 ms."""
     robot = Robot()
     robot.run(0.5)
@@ -82,7 +81,9 @@ def test_a_loop_that_stalled_catches_up_or_waits_as_the_robot_did(robot_too):
     moved[0] += 18 * _MS
     assert min(moved) >= 0
     assert max(moved) <= 40 * _MS
-    assert robot.time.delay == pytest.approx(stall if robot_too else 0, abs=1.2 * _SLACK)
+    assert robot.time.delay == pytest.approx(
+        stall if robot_too else stall - 20 * _MS, abs=1.2 * _SLACK
+    )
 
 
 def test_a_tick_that_is_full_begins_again():

@@ -18,10 +18,10 @@ __all__ = ["RobotClock", "counts_messages"]
 
 #: Maximum difference of a motion from the robot's time, ns; above the jitter of ticks.
 _SLACK: Final = 10_000_000
-#: Maximum time that a motion catches up in a call of `RobotClock.wait`, ns.
-_CATCH_UP: Final = 20_000_000
 _NS_PER_MS: Final = 1_000_000
-_STALE: Final = round(STALE * 1e9)
+#: Maximum time of the robot between two readings, ns. In a longer one the motors obeyed an old
+#: command, and the motion waits until the source has seen what that did.
+_LONGEST: Final = round(STALE * 1e9)
 #: Readings that show whether ticks are a clock.
 _FIRST: Final = 50
 #: Ticks count messages if this share of them steps by 1 at a median interval longer than this, ns.
@@ -47,8 +47,8 @@ class RobotClock:
 
     The ticks of LowState count ms of the robot's time in Unitree's C++ simulator, in g1stream's
     and on the robot. If they do not change, as in Unitree's Python simulator, or count messages, as
-    in unitree_sim_isaaclab, the time passes at the measured scale, and it stops while no LowState
-    arrives.
+    in unitree_sim_isaaclab, the time passes at the measured scale. It stops while no LowState
+    arrives, and such a gap counts for at most 20 ms, also if the robot went on meanwhile.
 
     The scale is the ratio of simulated to real time, from measured joint positions and velocities.
     In a span of real time a joint moves by d. Its velocity is measured in simulated time, and
@@ -110,10 +110,9 @@ class RobotClock:
                 self._first.append((ticks, passed))
                 self._counted = counts_messages(*np.array(self._first).T)
             self._ticks = self._ticks or ticks != 0
-            if self._ticks and not self._counted:
-                self.time += max(0, ticks) * _NS_PER_MS
-            else:
-                self.time += round(min(passed, _STALE) * self.scale)
+            counts_ms = self._ticks and not self._counted
+            since = max(0, ticks) * _NS_PER_MS if counts_ms else round(passed * self.scale)
+            self.time += min(since, _LONGEST)
         if self._measures and moving:
             self._integrate(measured)
 
@@ -129,7 +128,7 @@ class RobotClock:
         begun, robot_begun = self._begun
         behind = now - begun - (self.time - robot_begun) - age
         before = self.delay
-        self.delay = min(max(before, behind - _SLACK), max(behind + _SLACK, before - _CATCH_UP))
+        self.delay = min(max(before, behind - _SLACK), behind + _SLACK)
         return self.delay - before
 
     @property

@@ -61,9 +61,10 @@ class Driven:
         self.quat, self.gyroscope = target.root_quat_wxyz, np.zeros(3)
         source.begin(target, "free", None)
 
-    def command(self, phase=Phase.PLAY, passed=0.002):
+    def command(self, phase=Phase.PLAY, passed=0.002, arrived=None):
         imu = ImuReading(self.quat, self.gyroscope, np.array([0.0, 0.0, 9.81]))
-        measured = Reading(self.target.q, np.zeros(29), np.zeros(29), imu)
+        arrived = round(1e9 * self.time) if arrived is None else arrived
+        measured = Reading(self.target.q, np.zeros(29), np.zeros(29), imu, arrived=arrived)
         clock = iter([0, 0, round(1e9 * self.took)]).__next__
         asked = self.source.command(
             Moment(phase, 1.0, self.target, measured, 0.0, self.time, 0, clock)
@@ -107,6 +108,14 @@ def test_a_policy_waits_while_the_motion_waits(driven):
     driven.time += 0.1  # it catches up: five steps are left out
     assert driven.steps(1) == 1
     assert driven.steps(9) == 0
+
+
+def test_a_policy_holds_its_target_until_a_new_state_arrives(driven):
+    held = driven.command(arrived=1).q
+    assert driven.steps(100, arrived=1) == 0
+    assert np.array_equal(driven.command(arrived=1).q, held)
+    assert driven.steps(10, arrived=2) == 1
+    assert driven.steps(10) == 1
 
 
 def test_targets_are_of_the_contract(driven, policy):

@@ -112,6 +112,7 @@ class PolicyTargets(Source):
         self._phases = np.zeros(2), np.zeros(2)  # motion times, and shares of the motion then
         self._target: Floats | None = None
         self._next = 0.0
+        self._arrived = -1  # reception of the state of the newest step, ns
         self._steps = self._repeated = self._late = 0
         self._observed: float | None = None  # in the robot's time, s
         self._fall = ""
@@ -181,8 +182,11 @@ class PolicyTargets(Source):
         if self._target is None:
             self._next = moment.time
             self._observer.begin(self._state(moment), self._reference(target))
-        if moment.time > self._next - 0.5 / self._settings.rate:
+        # A step needs a new state: without one, the robot may not have obeyed the step before.
+        new = moment.measured.arrived != self._arrived
+        if new and moment.time > self._next - 0.5 / self._settings.rate:
             self._step(moment)
+            self._arrived = moment.measured.arrived
             self._next += self._step_time
             if self._next <= moment.time:  # steps in a jump of the motion's clock are skipped
                 self._next = moment.time + self._step_time

@@ -122,7 +122,7 @@ def simulate_commands(
     the embedded simulator would use them, see `Recorded.in_force`, or exactly at their publish
     times plus the command delay of the parameters. A command that was published so close to a
     LowState that the embedded simulator may have used it a period earlier or later, see `JITTER`,
-    belongs to either: of each window, the simulation that is nearest to the measurement counts.
+    belongs to either: in each window, the simulation nearest to the measurement counts.
 
     Args:
         recorded: the recording.
@@ -160,7 +160,7 @@ def simulate_commands(
         kept = 0 if part.start == 0 else 1  # the end of a window counts, not the start of the next
         values[part][kept:], base[part][kept:] = found[kept:], of_base[kept:]
         if repeats:
-            # Of a mixture of the two, the nearer one is at most half their distance away.
+            # The nearer one of the two is at most half their distance from any mixture of them.
             unlike = np.max([np.square(0.5 * (one - found)) for one, _ in runs], axis=0)
             moved += unlike[1:].sum(axis=0)
             n_moved += len(found) - 1

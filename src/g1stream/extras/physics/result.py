@@ -213,8 +213,8 @@ class MotionPhysics(Record, frozen=True):
             motion.
         feet: left and right.
         supported_share: fraction of the frames with a foot on the floor.
-        inside_share: fraction of the frames with at least a fifth of the weight on the feet in which the
-            centre of pressure is inside the support polygon; None without such frames.
+        inside_share: fraction of the frames with the centre of pressure inside the support polygon,
+            among those with a fifth of the weight on the feet or more; None without such frames.
         margin_mm: least distance from the centre of pressure to the edge of the polygon; negative
             outside; None without such frames.
         margin_frame: frame of that margin.

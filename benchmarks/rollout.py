@@ -5,7 +5,7 @@
 CPU time for each second that is simulated, in ms, the median of the rounds. The floor is
 `mj_step` alone: the same model, settings and number of steps, from the same state, the motors off.
 Parts are timed around the calls that do the work, 0.1 us a call included: the physics (`World.step`
-and `World.state`), the feed-forward (`FeedForward.command` and `observe`), what is recorded
+and `World.state`), the feed-forward (`FeedForward.command`), what is recorded
 (copying the samples, with the channels raw as in `g1stream library simulate`), and the rest:
 the loop, its safety, targets, messages and their checksums.
 """
@@ -31,7 +31,7 @@ from g1stream.sim.world import World
 
 PARTS = {
     "physics": ((World, "step"), (World, "state")),
-    "feed-forward": ((FeedForward, "command"), (FeedForward, "observe")),
+    "feed-forward": ((FeedForward, "command"),),
     "recording": ((MemorySource, "write_batch"),),
 }
 

@@ -1,4 +1,5 @@
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,20 @@ def test_flags_that_do_not_go_with_a_policy(file, motions, monkeypatch, tmp_path
     action, *others = flags
     assert main(["library", action, str(motions), "-o", "out", *others]) == 2
     assert not Path("out").exists()
+
+
+def test_a_policy_may_be_the_name_of_a_published_one(file, motions, monkeypatch, capsys, cluster):
+    """The file is in the cache, and is no network."""
+    path = file("g1stream/walker.onnx")
+    row = {"sha256": sha256(path.read_bytes()).hexdigest()}
+    monkeypatch.setattr("g1stream.extras.policy.published.published", lambda: {"walker": row})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(path.parents[1]))
+    out = path.parents[1] / "out"
+    command = ["library", "simulate", str(motions / "first.npz"), "-o", str(out), "--json"]
+    assert main([*command, "--cluster", cluster, "--policy", "walker"]) == 0
+    (row,) = g1stream.library.open_library(out).motions.to_dict("records")
+    assert (row["policy"], row["status"]) == ("walker", "refused")
+    assert str(path) in row["reason"]
 
 
 @pytest.mark.slow

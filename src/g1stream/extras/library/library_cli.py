@@ -25,6 +25,7 @@ from g1stream.cli.progress import ProgressDisplay
 from g1stream.config import load_config, settings
 from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
+from g1stream.extras.policy.published import policy_path
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.text import counted, labelled, table
 from g1stream.types import MotionFormat, StreamSupport, Support
@@ -104,9 +105,9 @@ class Library(SettingsCommand):
     )
     policy: list[str] = flag(
         (),
-        "ONNX file of a learned policy that plays on free feet (extra `policy`). May be "
-        "repeated, to run with each.",
-        "FILE",
+        "ONNX file of a learned policy that plays on free feet, or the name of a published one "
+        "(extra `policy`). May be repeated, to run with each.",
+        "POLICY",
         shown="none",
         needs=_SIMULATE,
     )
@@ -195,7 +196,7 @@ class Library(SettingsCommand):
         if any(text.startswith("stream.policy=") for text in self.sweep):
             raise ConfigError("--sweep cannot have policies.", "Give --policy for each of them.")
         policies = self.policy or filter(None, [config.stream.policy])
-        files = list(dict.fromkeys(str(Path(one).absolute()) for one in policies))
+        files = list(dict.fromkeys(str(policy_path(one).absolute()) for one in policies))
         if files and self.support not in (None, "free"):
             raise ConfigError(
                 f"--support {self.support} does not fit a policy, which needs free feet.",

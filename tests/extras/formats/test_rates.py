@@ -1,6 +1,7 @@
 """The frame rate by times, by speeds, and by what is beside a file."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -106,3 +107,11 @@ def test_what_meta_json_beside_an_npz_says(tmp_path, motion):
     for text in ("", "[1]", '{"fps": "fast"', "[" * 100_000, "\xff"):
         meta.write_text(text, encoding="latin-1")
         assert g1stream.load_motion(path).fps == 25.0
+
+
+def test_meta_json_beside_another_kind_of_file_says_nothing(tmp_path, motion):
+    (tmp_path / "meta.json").write_text(json.dumps({"fps": 50.0}))
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps({"joint_pos": motion.joint_pos}))
+    assert g1stream.load_motion(path).fps == 30.0
+    assert "frame rate" in opened(path).evidence.assumed

@@ -37,6 +37,20 @@ def test_rows_are_read_while_they_are_written(tmp_path):
     assert library.motions["frames"].isna().all()
 
 
+def test_what_a_killed_process_left_is_removed_and_other_files_are_kept(tmp_path):
+    with writing(tmp_path) as writer:
+        writer.add([rows()])
+    left = [tmp_path / name / ".part-000009.parquet.part" for name in ("motions", "joints")]
+    other = tmp_path / "motions" / "notes.txt"
+    for path in (*left, other):
+        path.write_bytes(b"half a table")
+    with writing(tmp_path) as writer:
+        writer.add([rows("walk", "2")])
+    assert not [path for path in left if path.exists()]
+    assert other.exists()
+    assert sorted(open_library(tmp_path).motions["name"]) == ["walk", "wave"]
+
+
 def test_a_newer_row_replaces_an_older_one(tmp_path):
     with writing(tmp_path) as writer:
         writer.add([rows(key="old", max_tilt=0.1), rows("walk", "2")])

@@ -134,6 +134,19 @@ def test_a_bent_waist_is_an_error_of_the_anchor():
     assert found.pelvis.max_orientation_rad == pytest.approx(0.0, abs=1e-7)
 
 
+def test_without_a_torso_link_the_pelvis_is_the_anchor():
+    robot = G1.from_urdf(G1.default().urdf.replace('"torso_link"', '"chest"'), "chest.urdf")
+    states = some_robot(9), some_robot(10)
+    found = body_metrics(robot, sampled(*states)).terminations
+    higher = np.abs(states[0].root_pos - states[1].root_pos)[:, 2]
+    assert found.max_anchor_height_mm == pytest.approx(1e3 * higher.max())
+    upright = [
+        Rotation.from_quat(one.root_quat_wxyz, scalar_first=True).as_matrix()[:, 2, 2]
+        for one in states
+    ]
+    assert found.max_gravity_difference == pytest.approx(np.abs(upright[0] - upright[1]).max())
+
+
 @pytest.mark.parametrize(
     ("robot", "joints", "has_position", "there"),
     [

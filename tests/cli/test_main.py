@@ -24,7 +24,7 @@ from g1stream.testing import SyntheticSession
         ("sim --config {toml}", "[sim]\nrate = 'fast'", "sim.rate"),
         ("stream demo --gains {toml}", "[kp]\n'*_tail' = 3", "*_tail"),
         ("stream demo --gains {toml}", "[kp]\n'*' = 9000.0", "kp.* = 9000.0"),
-        ("record {tmp}/no/session.mcap", "", "does not exist"),
+        ("record -o {tmp}/no/session.mcap", "", "does not exist"),
     ],
 )
 def test_bad_input_is_explained(tmp_path, run, arguments, content, named):
@@ -40,7 +40,7 @@ def test_a_directory_of_somebody_else_is_kept_even_from_force(tmp_path, domain_i
     precious = tmp_path / "session.mcap" / "notes.txt"
     precious.parent.mkdir()
     precious.write_bytes(b"precious")
-    ended = run("record", precious.parent, "--domain", domain_id, "--force")
+    ended = run("record", "-o", precious.parent, "--domain", domain_id, "--force")
     assert ended.code == 2
     assert str(precious.parent) in ended.err
     assert [*tmp_path.rglob("*.*")] == [precious.parent, precious]

@@ -37,7 +37,7 @@ class Demo(LiveCommand, MotionFlags):
 
     Examples:
       g1stream demo
-      g1stream demo --motion dance.csv --support hanging --out dance-demo
+      g1stream demo --motion dance.csv --support hanging -o dance-demo
       g1stream demo --support feet
       g1stream demo --policy holosoma
       g1stream demo --duration 5 --viewer

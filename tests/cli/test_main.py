@@ -17,7 +17,9 @@ from g1stream.testing import SyntheticSession
         ("motion demo --robot {tmp}/no.urdf", "", "no.urdf"),
         ("stream demo --interface nowhere0", "", "no network interface 'nowhere0'"),
         ("stream demo --start 99", "", "99"),
-        ("strem", "", "stream"),
+        ("strem", "", "Choose from stream."),
+        ("rollout", "", "Choose from library."),  # simulates them, says its purpose
+        ("layuot", "", "Choose from layout."),
         ("stream demo --config {tmp}/no.toml", "", "no.toml"),
         ("sim --config {toml}", "[dds", "not valid TOML"),
         ("sim --config {toml}", "[sim]\nspeed = 2", "sim.speed"),

@@ -44,6 +44,7 @@ from g1stream.session.streams import (
     Stream,
     neighbours,
 )
+from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -175,6 +176,13 @@ class JointErrors:
     duration: float
     joints: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__}: RMSE {self.overall:.4f} rad, "
+            f"{counted(len(self.joints), 'joint')}, {counted(self.sums.n, 'state')}, "
+            f"worst {self.worst_joint}>"
+        )
+
     @cached_property
     def rmse(self) -> Floats:
         """(29,) rad, root mean square."""
@@ -239,7 +247,7 @@ class JointErrors:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tracking(JointErrors):
     """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
 

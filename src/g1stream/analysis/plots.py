@@ -160,9 +160,7 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
                 _annotate(
                     axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
                 )
-        limbs = followed.limbs if followed else JOINT_GROUPS
-        played = followed.time[[0, -1]].tolist() if followed else whole
-        _draw_error(figure.add_subplot(cells[2, :2]), session, limbs, view, played)
+        _draw_error(figure.add_subplot(cells[2, :2]), session, followed, view)
         if followed:
             _draw_bars(figure.add_subplot(cells[2, 2]), followed)
     return figure
@@ -226,13 +224,8 @@ def _draw_head(figure: Figure, session: Recording, tracking: Tracking | None) ->
 
 
 def _draw_error(
-    axes: Axes,
-    session: Recording,
-    limbs: Mapping[str, Sequence[int]],
-    view: tuple[float, float],
-    played: tuple[float, float],
+    axes: Axes, session: Recording, tracking: Tracking | None, view: tuple[float, float]
 ) -> None:
-    """Its scale is for the time `played`: errors in RAMP may be larger."""
     phases = session.phases
     first, last = phases[0].start_s, phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
@@ -243,17 +236,16 @@ def _draw_error(
             place, where = ((one.start_s + one.end_s) / 2.0, 1.0), axes.get_xaxis_transform()
             _annotate(axes, one.phase.name, place, -4, xycoords=where, va="top")
     _set_times(axes, first, last)
-    (line,) = signal(session, "error").lines
-    asked = ~np.isnan(line.values[:, 0])
-    if not asked.any():
+    if tracking is None:
         return
-    top = 0.0
-    for group, joints in limbs.items():
+    (line,) = signal(session, "error").lines
+    asked, top = ~np.isnan(line.values[:, 0]), 0.0
+    for group, joints in tracking.limbs.items():
         times, rms = _binned_rms(line.time[asked], line.values[asked][:, joints])
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
-        in_play = (times >= played[0]) & (times <= played[1])
+        in_play = (times >= tracking.time[0]) & (times <= tracking.time[-1])
         top = np.fmax.reduce(rms[in_play], initial=top)
-    axes.set_ylim(0.0, 1.2 * top or None)
+    axes.set_ylim(0.0, 1.2 * top or None)  # errors in RAMP may be larger
     if view != (first, last):
         axes.axvspan(*view, ymax=0.03, color=_DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)

@@ -44,7 +44,6 @@ from g1stream.session.streams import (
     Stream,
     neighbours,
 )
-from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -177,11 +176,7 @@ class JointErrors:
     joints: tuple[int, ...]
 
     def __repr__(self) -> str:
-        return (
-            f"<{type(self).__name__}: RMSE {self.overall:.4f} rad, "
-            f"{counted(len(self.joints), 'joint')}, {counted(self.sums.n, 'state')}, "
-            f"worst {self.worst_joint}>"
-        )
+        return f"<{type(self).__name__}: RMSE {self.overall:.4f} rad, worst {self.worst_joint}>"
 
     @cached_property
     def rmse(self) -> Floats:

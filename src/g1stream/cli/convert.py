@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
+    _Progress = Callable[[float], None]
+    #: Values, text, and warnings.
+    _Result = tuple[dict[str, Any], str, tuple[str, ...]]
 
 #: Flags of a session file.
 _OF_SESSION: Any = {"advanced": True, "needs": ("files=*.mcap",), "excludes": ("to", "ros2")}
@@ -175,16 +178,9 @@ class Convert(MotionPartFlags):
                 "The argument MOTION or FILE is missing.",
                 "Add it. `g1stream convert --help` describes it.",
             )
-        from g1stream.motion.motion import MOTION_SUFFIXES
-
         check_not_input(self.output, *map(Path, self.motions))
-        if self.ros2:
-            if len(self.motions) > 1:
-                raise ConfigError(
-                    "--ros2 converts exactly one session.", "Give one session and FILE."
-                )
-        elif not self.to and self.output.suffix.lower() in MOTION_SUFFIXES:
-            return self._motion_file()
+        if self.ros2 and len(self.motions) > 1:
+            raise ConfigError("--ros2 converts exactly one session.", "Give one session and FILE.")
         try:
             return self._convert()
         except _StoppedError as stopped:
@@ -198,22 +194,23 @@ class Convert(MotionPartFlags):
         first, behind = _frames(self.frames)
         return motion.frames(first or 0, motion.n_frames if behind is None else behind)
 
-    def _motion_file(self) -> int:
+    def _motion_file(self, on_progress: _Progress) -> _Result:
         from g1stream.motion.motion import DEFAULT_FPS
 
         motion = self._motion()
         if self.resample:
             motion = motion.resample(self.resample)
-        print_warning(*motion.warnings)
-        path = motion.save(self.output, force=self.force)
+        on_progress(0.0)  # raises after a signal
+        path, warnings = motion.save(self.output, force=self.force), motion.warnings
         if path.suffix.lower() == ".csv" and motion.fps != DEFAULT_FPS:
-            print_warning(f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}")
+            warnings += (f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}",)
         about = {"path": str(path), "frames": motion.n_frames, "fps": motion.fps}
         text = f"{path}: {counted(motion.n_frames, 'frame')} at {motion.fps:g} fps"
-        print_result(about, text, as_json=self.json)
-        return EXIT_OK
+        return about, text, warnings
 
     def _convert(self) -> int:
+        from g1stream.motion.motion import MOTION_SUFFIXES
+
         # Checked between chunks: an exception raised in a signal handler could come between the
         # creation of the temporary file and the code that removes it.
         stopped: list[int] = []
@@ -224,9 +221,12 @@ class Convert(MotionPartFlags):
                     raise _StoppedError(stopped[0])
                 progress("converted", fraction)
 
-            make = self._copy if self._copies() else self._session_file
             if self.ros2 or self.to:
                 make = self._ros2_bag if self.ros2 else self._file_of_format
+            elif self.output.suffix.lower() in MOTION_SUFFIXES:
+                make = self._motion_file
+            else:
+                make = self._copy if self._copies() else self._session_file
             about, text, warnings = make(on_progress)
         print_warning(*warnings)
         print_result(about, text, as_json=self.json)
@@ -243,9 +243,7 @@ class Convert(MotionPartFlags):
 
         return is_of_g1stream(session)
 
-    def _copy(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _copy(self, on_progress: _Progress) -> _Result:
         from g1stream.app.session import open_session
 
         session = open_session(self.motions[0])
@@ -258,9 +256,7 @@ class Convert(MotionPartFlags):
         end = (f"the last {lost} are an incomplete record and were left out",)
         return about, text, end if session.unread else ()
 
-    def _ros2_bag(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _ros2_bag(self, on_progress: _Progress) -> _Result:
         report = extension("write_bag")(
             Path(self.motions[0]),
             self.output,
@@ -275,9 +271,7 @@ class Convert(MotionPartFlags):
             text += f"\nomitted, not ROS messages: {', '.join(sorted(report.left_out))}"
         return report.as_dict(), text, ()
 
-    def _file_of_format(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _file_of_format(self, on_progress: _Progress) -> _Result:
         from g1stream.robot.model import G1
 
         assert self.to
@@ -297,9 +291,7 @@ class Convert(MotionPartFlags):
         text = f"{self.output}: {counted(take.n_frames, 'frame')} at {fps:g} fps for {self.to}"
         return about, text, motion.warnings
 
-    def _session_file(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _session_file(self, on_progress: _Progress) -> _Result:
         from g1stream.app.convert import convert, parse_time
         from g1stream.robot.model import G1
 

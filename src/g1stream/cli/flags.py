@@ -324,10 +324,8 @@ class _Parser(ArgumentParser):
                 flag = name.replace("_", "-")
                 texts[i] = f"{flag}{equals}{value}"
                 if flag not in self._known and flag[:2] not in self._known:
-                    raise ConfigError(
-                        f"g1stream {self._command} has no flag {name}.",
-                        f"{self._nearest(flag)}{self._see_help()}",
-                    )
+                    cause = f"g1stream {self._command} has no flag {name}."
+                    raise ConfigError(cause, f"{self._nearest(flag)}{self._see_help()}")
         namespace, extra = self.parse_known_intermixed_args(texts)
         if extra:
             raise ConfigError(

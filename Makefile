@@ -29,7 +29,7 @@ $(VENV)/.dev: $(VENV)/.run
 	@touch $@
 
 demo: $(VENV)/.run
-	$(BIN)/g1stream demo --out demo-out --force
+	$(BIN)/g1stream demo -o demo-out --force
 
 # First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one: the
 # core with the extras hidden, which proves that it needs none, then the extras. Then what is about

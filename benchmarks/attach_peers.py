@@ -68,7 +68,7 @@ def example_motion(seconds: float) -> Motion:
 
 def ours(path: Path) -> list[Any]:
     """The command of our recorder."""
-    return [sys.executable, "-m", "g1stream", "record", path, "--force", "--quiet"]
+    return [sys.executable, "-m", "g1stream", "record", "-o", path, "--force", "--quiet"]
 
 
 def other(path: Path) -> list[Any]:

@@ -92,7 +92,9 @@ def measure(domain: int, rounds: int, seconds: float) -> dict[str, Any]:
     with (
         tempfile.TemporaryDirectory() as directory,
         sides.beside([*sides.G1STREAM, "sim", f"--domain={domain}"]),
-        sides.beside([*sides.G1STREAM, "record", f"{directory}/x.mcap", f"--domain={domain}"]),
+        sides.beside(
+            [*sides.G1STREAM, "record", "-o", f"{directory}/x.mcap", f"--domain={domain}"]
+        ),
     ):
         for rate in RATES:
             flags = [f"--domain={domain}", f"--rate={rate}", f"--seconds={seconds}"]

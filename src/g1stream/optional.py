@@ -38,6 +38,7 @@ EXTENSIONS: Final = {
     "policy_terms_schema": "g1stream.extras.policy.terms:schema",
     "write_motion": "g1stream.extras.formats.write:write_motion",
     "scene_meshes": "g1stream.extras.meshes.scene:SceneMeshes",
+    "report": "g1stream.extras.report.page:report",
     "render": "g1stream.extras.video.render:render",
 }
 """Functions, classes and tables of extras that the core calls, as `module:name`."""

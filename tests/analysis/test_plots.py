@@ -79,6 +79,20 @@ def test_all_texts_are_inside_and_apart(play, write_session, figures, tmp_path):
         assert not any(box.overlaps(other) for other in boxes[:i])
 
 
+def test_the_scale_of_the_error_is_that_of_play(play, write_session):
+    """Otherwise a robot that is late in RAMP would hide it."""
+    reference, measured = play(0.0, 0.1)
+    usual = open_session(write_session(reference, measured, name="usual.mcap")).plot()
+    measured.q[50:100] += 1.0
+    figure = open_session(write_session(reference, measured, name="late.mcap")).plot()
+    axes, other = (
+        next(a for a in one.axes if a.get_title("left").startswith("RMS "))
+        for one in (figure, usual)
+    )
+    assert axes.get_ylim() == pytest.approx(other.get_ylim())
+    assert max(np.nanmax(line.get_ydata()) for line in axes.get_lines()) > axes.get_ylim()[1]
+
+
 def test_a_session_that_ended_before_play(play, take, write_session, figures, tmp_path):
     streams = [take(stream, slice(0, 200)) for stream in play()]
     draw(open_session(write_session(*streams)), tmp_path / "tracking.png")
@@ -111,7 +125,10 @@ def test_a_row_for_each_joint_and_a_column_for_each_quantity(session):
         for quantity in ("error, deg", "position, deg")
     ]
     (line,) = figure.axes[0].get_lines()
-    np.testing.assert_allclose(line.get_ydata(), np.degrees(session.tracking().error[:, 3]))
+    followed = session.tracking()
+    in_play = np.isin(line.get_xdata(), followed.time)
+    error = np.degrees(followed.error[:, 3])
+    np.testing.assert_allclose(line.get_ydata()[in_play], error, atol=1e-6)
 
 
 def test_the_quantities_of_few_joints_are_below_each_other(session):

@@ -51,6 +51,13 @@ def test_messages_times_and_the_log_are_selected_too(session):
     assert part.log == []
 
 
+def test_the_tracking_is_shown_in_one_line(session):
+    shown = repr(session.tracking())
+    assert "\n" not in shown
+    assert len(shown) < 120
+    assert f"{session.tracking().overall:.4f} rad" in shown
+
+
 def test_tracking_of_a_part(session):
     whole, part = session.tracking(), session.sel(time=slice(1.0, 2.0)).tracking()
     assert whole.delay.seconds == pytest.approx(LATE, abs=1e-4)

@@ -51,6 +51,18 @@ def test_positions_are_in_degrees_and_end_where_they_are_missing(play, take, wri
     np.testing.assert_allclose(found, np.degrees(session.measured.q))
 
 
+def test_the_error_is_that_of_every_phase_in_which_a_pose_is_asked_for(play, write_session):
+    phases = ((Phase.RAMP, 0.4), (Phase.PLAY, 1.0), (Phase.HOLD, 0.3), (Phase.DAMP, 0.2))
+    session = open_session(write_session(*play(0.02, 0.1, phases)))
+    (line,) = signal(session, "error").lines
+    found, states = session.tracking(), session.measured.time
+    for one in session.phases:
+        inside = states[(states > one.start_s + 0.01) & (states < one.end_s - 0.01)]
+        assert (np.isin(inside, line.time) == (one.phase is not Phase.DAMP)).all()
+    in_play = np.isin(line.time, found.time)
+    np.testing.assert_allclose(line.values[in_play], np.degrees(found.error), atol=1e-6)
+
+
 def test_the_torque_asked_for_is_the_servos():
     rng = np.random.default_rng(6)
 

@@ -7,6 +7,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from g1stream.app.rollout import LATENCY, rollout
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config, load_config
+from g1stream.control.stop import REMEDIES
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import ExtendedSource, MemorySource
@@ -110,6 +111,19 @@ def test_every_phase_and_channel_is_there(session):
 def test_what_cannot_be_played(settings, how, named):
     with pytest.raises(ConfigError, match=named):
         rollout("demo", config=Config.model_validate(settings), **how)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_robot_that_falls_is_one_problem_with_one_remedy(tmp_path, recorded):
+    """The log has the end of the stream, too."""
+    session = rollout("demo", seconds=3.0, support="free", config=config())
+    assert any(event.is_serious for event in session.log)
+    if recorded:
+        session = open_session(session.save(tmp_path / "fallen.mcap"))
+    summary = session.summary()
+    assert summary.stream.stop == "tilt"
+    (problem,) = summary.problems
+    assert problem.endswith(REMEDIES["tilt"])
 
 
 def test_a_simulated_robot_needs_no_remote_and_no_kind():

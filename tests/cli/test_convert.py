@@ -45,6 +45,16 @@ def test_the_summary_as_json(convert, tmp_path):
     assert told["start_ns"] == 60 * 10**9 + 333_333_333
 
 
+def test_the_output_is_o_or_the_last_argument(convert, tmp_path):
+    last, flag = tmp_path / "last.csv", tmp_path / "flag.csv"
+    assert convert("demo", "demo", last, "--blend", "1").code == 0
+    assert convert("demo", "-o", flag, "demo", "--blend", "1").code == 0
+    assert flag.read_bytes() == last.read_bytes()
+    assert convert("-o", flag).code == 2
+    assert convert("demo", last, "-o", last, "--force").code == 2  # an input is not replaced
+    assert flag.read_bytes() == last.read_bytes()
+
+
 @pytest.mark.slow
 def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
     leader, follower = pty.openpty()
@@ -74,6 +84,7 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(tmp_path):
         ("demo {tmp}/a.npz --urdf g1_23dof", "--urdf"),
         ("demo {tmp}/a.npz --flat", "*.mcap"),
         ("demo {tmp}/a.npz --to mjlab --flat", "*.mcap"),
+        ("demo {tmp}/a.mcap -o {tmp}/a.npz --flat", "*.mcap"),
         ("{spoiled} {tmp}/a --ros2 --speed 2", "--speed"),
         ("demo {tmp}/a.mcap --velocities finite", "--to"),
         ("demo {tmp}/a --to sonic --ros2", "--to"),

@@ -14,7 +14,7 @@ def test_without_the_extra_it_is_said_how_to_install_it(tmp_path, monkeypatch, c
     def load(name):
         raise ConfigError("It is not installed.", "pip install it.")
 
-    monkeypatch.setattr("g1stream.cli.demo.load_command", load)
+    monkeypatch.setattr("g1stream.cli.demo.extension", load)
     _write_page(tmp_path / "s.mcap", tmp_path / "report.html")
     printed = capsys.readouterr()
     assert "pip install it." in printed.err

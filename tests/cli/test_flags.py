@@ -1,3 +1,4 @@
+import re
 from contextlib import nullcontext
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -6,7 +7,8 @@ from typing import Literal
 import pytest
 
 from g1stream.cli.command import Command, announce_wire
-from g1stream.cli.flags import argument, flag, flag_name, parse_flags
+from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
+from g1stream.cli.main import COMMANDS, load_command
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Stream
@@ -14,10 +16,15 @@ from g1stream.config import Config, settings
 from g1stream.errors import ConfigError
 
 CLASSES = {"stream": Stream, "record": Record, "sim": Sim}
+#: The commands that can write a file.
+WRITES = {
+    *("demo", "stream", "record", "convert", "library", "attach", "report", "plot"),
+    *("simulate", "fit", "render", "layout"),
+}
 
 
 def resolved(command, *arguments):
-    given = [*arguments, *([] if command == "sim" else ["x"])]
+    given = [*arguments, *{"stream": ["x"], "record": ["-o", "x"]}.get(command, [])]
     return parse_flags(CLASSES[command], command, "", given).resolve()
 
 
@@ -99,10 +106,38 @@ def test_flags_and_arguments_that_do_not_exist_or_are_missing(arguments, cause, 
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(
+    ("command", "wrong", "near"),
+    [
+        ("convert", "--floating-root", None),  # the opposite of --no-floating-root
+        ("convert", "--no-floating-rot", "--no-floating-root"),
+        ("convert", "--topics", None),
+        ("convert", "--output", "--out"),
+        ("sim", "--self-collision", None),
+        ("sim", "--no-meshes", None),
+        ("plot", "--joint", "--joints"),
+        ("attach", "--to", None),
+    ],
+)
+def test_a_hint_is_a_flag_that_is_spelt_nearly_so_and_means_no_opposite(command, wrong, near):
+    with pytest.raises(ConfigError) as caught:
+        parse_flags(load_command(command), command, "", [wrong])
+    assert re.findall("--[-a-z]+(?=;)", caught.value.remedy) == ([near] if near else [])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_its_output_as_o_and_its_result_as_json(command):
+    flags = command_parser(load_command(command), command, "")._option_string_actions
+    assert "--json" in flags
+    assert ("-o" in flags) == (command in WRITES)
+    if "-o" in flags:
+        assert {"--out", "--record"} & {*flags["-o"].option_strings}
+
+
 def test_an_argument_that_is_missing_is_named():
     with pytest.raises(ConfigError) as caught:
-        parse_flags(Record, "record", "", [])
-    assert "MCAP" in caught.value.cause
+        parse_flags(Several, "several", "", ["--with", "x"])
+    assert "BASE" in caught.value.cause
 
 
 def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign():
@@ -210,6 +245,7 @@ class Combined(Command):
     files: tuple[str, ...] = argument("Files, the last one an output.", "FILE... OUT")
     out: Path | None = flag(None, "Written.")
     force: bool = flag(False, "Replace it.", needs=("out", "files=*.mcap"))
+    raw: bool = flag(False, "As it is.", needs=("files=*.mcap",))
     size: int = flag(1, "Made.", needs=("action=make", "absent"), excludes=("out",))
 
 
@@ -221,6 +257,8 @@ class Combined(Command):
         (["make", "a", "--force", "--out", "x"], None),
         (["make", "a", "b.MCAP", "--force"], None),
         (["make", "a.mcap", "b", "--force"], "--force needs --out or OUT *.mcap."),
+        (["make", "a", "--raw", "--out=b.mcap"], None),
+        (["make", "a.mcap", "--raw", "--out=b"], "--raw needs OUT *.mcap."),
         (["make", "a", "--size=2", "--out=x"], "--size cannot be combined with --out."),
     ],
 )

@@ -17,14 +17,16 @@ from g1stream.testing import SyntheticSession
         ("motion demo --robot {tmp}/no.urdf", "", "no.urdf"),
         ("stream demo --interface nowhere0", "", "no network interface 'nowhere0'"),
         ("stream demo --start 99", "", "99"),
-        ("strem", "", "stream"),
+        ("strem", "", "Choose from stream."),
+        ("rollout", "", "Choose from library."),  # simulates them, says its purpose
+        ("layuot", "", "Choose from layout."),
         ("stream demo --config {tmp}/no.toml", "", "no.toml"),
         ("sim --config {toml}", "[dds", "not valid TOML"),
         ("sim --config {toml}", "[sim]\nspeed = 2", "sim.speed"),
         ("sim --config {toml}", "[sim]\nrate = 'fast'", "sim.rate"),
         ("stream demo --gains {toml}", "[kp]\n'*_tail' = 3", "*_tail"),
         ("stream demo --gains {toml}", "[kp]\n'*' = 9000.0", "kp.* = 9000.0"),
-        ("record {tmp}/no/session.mcap", "", "does not exist"),
+        ("record -o {tmp}/no/session.mcap", "", "does not exist"),
     ],
 )
 def test_bad_input_is_explained(tmp_path, run, arguments, content, named):
@@ -40,7 +42,7 @@ def test_a_directory_of_somebody_else_is_kept_even_from_force(tmp_path, domain_i
     precious = tmp_path / "session.mcap" / "notes.txt"
     precious.parent.mkdir()
     precious.write_bytes(b"precious")
-    ended = run("record", precious.parent, "--domain", domain_id, "--force")
+    ended = run("record", "-o", precious.parent, "--domain", domain_id, "--force")
     assert ended.code == 2
     assert str(precious.parent) in ended.err
     assert [*tmp_path.rglob("*.*")] == [precious.parent, precious]

@@ -96,13 +96,6 @@ def test_a_part_of_the_whole_as_stream_plays_it(name, demo, flags, start, end):
     assert motion.content_sha256 == whole.trim(start, end).content_sha256
 
 
-def test_a_flag_of_an_earlier_version_leads_to_the_new_ones():
-    with pytest.raises(ConfigError) as caught:
-        parsed("stream", "demo", "--trim", "1:5")
-    assert "--trim" in caught.value.cause
-    assert "--start and --duration" in caught.value.remedy
-
-
 def test_the_report_is_about_the_changed_motion(run):
     done = run("motion", "demo", "--start", "1", "--duration", "2", "--mirror", "--json")
     assert json.loads(done.out)["n_frames"] == 61

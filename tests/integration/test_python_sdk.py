@@ -184,7 +184,7 @@ def test_the_sdks_own_arm_example_drives_our_bridge(domain_zero, running, sdk_py
     where = ("--domain", domain_zero)
     with (
         running("sim", *where, "--onboard", "ai", "--support", "follow"),
-        running("record", path, *where) as recorder,
+        running("record", "-o", path, *where) as recorder,
     ):
         done = subprocess.run(
             [sdk_python, example, "lo"],

@@ -52,7 +52,7 @@ def test_signals_end_with_a_complete_file(domain_id, running, tmp_path, until, n
     path = tmp_path / "s.mcap"
     with (
         robot(domain_id) as sent,
-        running("record", path, "--domain", domain_id, "--json") as process,
+        running("record", "-o", path, "--domain", domain_id, "--json") as process,
     ):
         until(lambda: len(sent) > 300, "samples")
         process.send_signal(number)
@@ -67,7 +67,7 @@ def test_signals_end_with_a_complete_file(domain_id, running, tmp_path, until, n
 def test_two_robots_at_once_are_a_problem(domain_id, running, tmp_path, until):
     path = tmp_path / "s.mcap"
     with (
-        running("record", path, "--domain", domain_id, "--json") as process,
+        running("record", "-o", path, "--domain", domain_id, "--json") as process,
         robot(domain_id) as sent,
         running("sim", "--domain", domain_id) as simulator,
     ):

@@ -85,6 +85,7 @@ def test_what_surrounds_the_samples_also_of_a_file_that_was_never_closed(cdr, wr
     assert session.metadata == {"domain": 1, "versions": {"g1stream": "0.1.0"}, "at_end": close}
     assert session.attachments == {"motion.csv": b"Frame,X\n"}
     assert session.log == [LogEvent(T0, "WARNING", "stream", "late by 3 ms")]
+    assert session.log[0].time_ns == T0
     assert session.base is session.torso_imu is None
     assert list(session.replay_bytes("/lowstate")) == cdr["/lowstate"]
 

@@ -160,7 +160,7 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
                 _annotate(
                     axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
                 )
-        _draw_error(figure.add_subplot(cells[2, :2]), session.phases, followed, view)
+        _draw_error(figure.add_subplot(cells[2, :2]), session, followed, view)
         if followed:
             _draw_bars(figure.add_subplot(cells[2, 2]), followed)
     return figure
@@ -224,11 +224,9 @@ def _draw_head(figure: Figure, session: Recording, tracking: Tracking | None) ->
 
 
 def _draw_error(
-    axes: Axes,
-    phases: Sequence[PhaseInterval],
-    tracking: Tracking | None,
-    view: tuple[float, float],
+    axes: Axes, session: Recording, tracking: Tracking | None, view: tuple[float, float]
 ) -> None:
+    phases = session.phases
     first, last = phases[0].start_s, phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
@@ -240,11 +238,14 @@ def _draw_error(
     _set_times(axes, first, last)
     if tracking is None:
         return
-    error = np.degrees(tracking.error)
+    (line,) = signal(session, "error").lines
+    asked, top = ~np.isnan(line.values[:, 0]), 0.0
     for group, joints in tracking.limbs.items():
-        times, rms = _binned_rms(tracking.time, error[:, joints])
+        times, rms = _binned_rms(line.time[asked], line.values[asked][:, joints])
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
-    axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
+        in_play = (times >= tracking.time[0]) & (times <= tracking.time[-1])
+        top = np.fmax.reduce(rms[in_play], initial=top)
+    axes.set_ylim(0.0, 1.2 * top or None)  # errors in RAMP may be larger
     if view != (first, last):
         axes.axvspan(*view, ymax=0.03, color=_DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)

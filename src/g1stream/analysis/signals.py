@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 import numpy as np
 
 from g1stream.analysis.torque import commanded_torque
-from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
+from g1stream.analysis.tracking import blocks
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.motions import motion_of
@@ -205,14 +205,15 @@ def simulated(
 
 
 def _errors(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
-    try:
-        found = tracking(session)
-    except NothingToCompareError:
+    """Also in RAMP and HOLD, unlike `tracking`."""
+    lines = {line.name: line for line in _asked_and_measured(session, "q", joints)}
+    if not {"reference", "measured"} <= lines.keys():
         return ()
-    error = np.empty((len(found.time), len(joints)), order="F")
-    for i, joint in enumerate(joints):
-        error[:, i] = np.degrees(found.error_of(joint))
-    return (Line.from_samples("reference - measured", found.time, error),)
+    asked, (_, time, error) = lines["reference"], lines["measured"]
+    for column, target in zip(error.T, asked.values.T, strict=True):
+        column[:] = np.interp(time, asked.time, target, np.nan, np.nan) - column
+    known = ~np.isnan(error).all(axis=1)
+    return (Line.from_samples("reference - measured", time[known], error[known]),)
 
 
 def _degrees(values: NDArray[Any], joints: Sequence[int]) -> Floats:

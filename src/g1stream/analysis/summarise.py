@@ -44,7 +44,7 @@ from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from g1stream.analysis.tracking import TrackingSummary
     from g1stream.session.recording import Recording
@@ -163,7 +163,7 @@ def summarise(session: Recording) -> Summary:
         *find_problems(summary),
         *_file_problems(session),
         *_sample_problems(session),
-        *Warnings(session.log).texts(_last_command(session)),
+        *_other_than_stop(Warnings(session.log).texts(_last_command(session)), summary),
         *problems,
     ]
     return summary
@@ -231,8 +231,14 @@ def summarise_run(
             for topic, n in recorded.counts.items()
         },
     )
-    summary.problems = [*find_problems(summary), *recorded.warnings]
+    summary.problems = [*find_problems(summary), *_other_than_stop(recorded.warnings, summary)]
     return summary
+
+
+def _other_than_stop(logged: Iterable[str], summary: Summary) -> Iterator[str]:
+    """The logged warnings without the end of the stream, which the summary has with its remedy."""
+    reason = summary.stream and summary.stream.reason
+    return (text for text in logged if not (reason and text.endswith(reason)))
 
 
 def find_problems(summary: Summary) -> Iterator[str]:

@@ -175,6 +175,9 @@ class JointErrors:
     duration: float
     joints: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: RMSE {self.overall:.4f} rad, worst {self.worst_joint}>"
+
     @cached_property
     def rmse(self) -> Floats:
         """(29,) rad, root mean square."""
@@ -239,7 +242,7 @@ class JointErrors:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tracking(JointErrors):
     """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
 

@@ -236,12 +236,18 @@ def print_json(values: Any) -> None:
     print(json.dumps(values, indent=2))
 
 
+def print_result(values: Any, text: str, *, as_json: bool) -> None:
+    """Print a result as text, or with `as_json` its values as one JSON document."""
+    if as_json:
+        print_json(values)
+    else:
+        print_lines(text)
+
+
 def print_summary(summary: Summary, *, as_json: bool, details: bool = False) -> None:
     """Print a summary: its result, with `details` all of it, or as one JSON document."""
-    if as_json:
-        print_json(summary.model_dump(mode="json"))
-    else:
-        print_lines(summary.details if details else str(summary))
+    text = summary.details if details else str(summary)
+    print_result(summary.model_dump(mode="json"), text, as_json=as_json)
 
 
 def exit_code(summary: Summary) -> int:

@@ -12,8 +12,7 @@ from g1stream.cli.command import (
     EXIT_OK,
     EXIT_SIGNAL,
     on_signals,
-    print_json,
-    print_lines,
+    print_result,
     print_warning,
 )
 from g1stream.cli.flags import argument, flag
@@ -32,6 +31,9 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
+    _Progress = Callable[[float], None]
+    #: Values, text, and warnings.
+    _Result = tuple[dict[str, Any], str, tuple[str, ...]]
 
 #: Flags of a session file.
 _OF_SESSION: Any = {"advanced": True, "needs": ("files=*.mcap",), "excludes": ("to", "ros2")}
@@ -72,7 +74,7 @@ class Convert(MotionPartFlags):
       g1stream convert dance.csv dance.mcap
       g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
       g1stream convert dance.pkl dance.csv
-      g1stream convert wave.csv dance.npz both.npz --blend 1
+      g1stream convert wave.csv dance.npz --blend 1 -o both.npz
       g1stream convert dance.csv motion.npz --to mjlab
       g1stream convert dance.csv reference/dance --to sonic
       g1stream convert killed.mcap whole.mcap
@@ -104,7 +106,10 @@ class Convert(MotionPartFlags):
     ros2: bool = flag(
         False,
         "Convert a session into a ROS 2 bag.",
-        excludes=("to", "frames", "resample", "urdf", *(f.name for f in fields(MotionPartFlags))),
+        excludes=(
+            *("to", "frames", "resample", "urdf"),
+            *{one.name for one in fields(MotionPartFlags)} - {"quiet"},
+        ),
     )
     base_time: str = flag(
         "0",
@@ -121,7 +126,8 @@ class Convert(MotionPartFlags):
     )
     resample: float | None = flag(
         None,
-        "Sample the spline at this rate, with velocities and accelerations.",
+        "Rate of the output, sampled from the spline with velocities and accelerations. The motion "
+        "keeps its speed; --fps is the rate at which the input's frames follow each other.",
         "HZ",
         shown="the file's frames",
         gt=0,
@@ -149,36 +155,32 @@ class Convert(MotionPartFlags):
         "Show the URDF's meshes, simplified, or the real G1's (extra `meshes`).",
         **_OF_SESSION,
     )
+    out: Path | None = flag(
+        None, "The output; then each argument is a motion.", "FILE", shown="the last argument"
+    )
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     @property
     def motions(self) -> tuple[str, ...]:
         """The motions to convert."""
-        return self.files[:-1]
+        return self.files if self.out else self.files[:-1]
 
     @property
-    def out(self) -> Path:
+    def output(self) -> Path:
         """The file or directory to write."""
-        return Path(self.files[-1])
+        return self.out or Path(self.files[-1])
 
     def run(self) -> int:
         """Convert, and return the exit code."""
-        if len(self.files) < 2:
+        if not self.motions:
             raise ConfigError(
                 "The argument MOTION or FILE is missing.",
                 "Add it. `g1stream convert --help` describes it.",
             )
-        from g1stream.motion.motion import MOTION_SUFFIXES
-
-        check_not_input(self.out, *map(Path, self.motions))
-        if self.ros2:
-            if len(self.motions) > 1:
-                raise ConfigError(
-                    "--ros2 converts exactly one session.", "Give one session and FILE."
-                )
-        elif not self.to and self.out.suffix.lower() in MOTION_SUFFIXES:
-            return self._motion_file()
+        check_not_input(self.output, *map(Path, self.motions))
+        if self.ros2 and len(self.motions) > 1:
+            raise ConfigError("--ros2 converts exactly one session.", "Give one session and FILE.")
         try:
             return self._convert()
         except _StoppedError as stopped:
@@ -192,24 +194,23 @@ class Convert(MotionPartFlags):
         first, behind = _frames(self.frames)
         return motion.frames(first or 0, motion.n_frames if behind is None else behind)
 
-    def _motion_file(self) -> int:
+    def _motion_file(self, on_progress: _Progress) -> _Result:
         from g1stream.motion.motion import DEFAULT_FPS
 
         motion = self._motion()
         if self.resample:
             motion = motion.resample(self.resample)
-        print_warning(*motion.warnings)
-        path = motion.save(self.out, force=self.force)
+        on_progress(0.0)  # raises after a signal
+        path, warnings = motion.save(self.output, force=self.force), motion.warnings
         if path.suffix.lower() == ".csv" and motion.fps != DEFAULT_FPS:
-            print_warning(f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}")
+            warnings += (f"a CSV has no frame rate: read {path} with --fps {motion.fps:g}",)
         about = {"path": str(path), "frames": motion.n_frames, "fps": motion.fps}
-        if self.json:
-            print_json(about)
-        else:
-            print_lines(f"{path}: {counted(motion.n_frames, 'frame')} at {motion.fps:g} fps")
-        return EXIT_OK
+        text = f"{path}: {counted(motion.n_frames, 'frame')} at {motion.fps:g} fps"
+        return about, text, warnings
 
     def _convert(self) -> int:
+        from g1stream.motion.motion import MOTION_SUFFIXES
+
         # Checked between chunks: an exception raised in a signal handler could come between the
         # creation of the temporary file and the code that removes it.
         stopped: list[int] = []
@@ -220,49 +221,45 @@ class Convert(MotionPartFlags):
                     raise _StoppedError(stopped[0])
                 progress("converted", fraction)
 
-            make = self._copy if self._copies() else self._session_file
             if self.ros2 or self.to:
                 make = self._ros2_bag if self.ros2 else self._file_of_format
+            elif self.output.suffix.lower() in MOTION_SUFFIXES:
+                make = self._motion_file
+            else:
+                make = self._copy if self._copies() else self._session_file
             about, text, warnings = make(on_progress)
         print_warning(*warnings)
-        if self.json:
-            print_json(about)
-        else:
-            print_lines(text)
+        print_result(about, text, as_json=self.json)
         return EXIT_OK
 
     def _copies(self) -> bool:
         """Whether the only input is a session of ours, and nothing is asked of its motion."""
         session = Path(self.motions[0])
-        same = Convert(files=self.files, force=self.force, json=self.json, quiet=self.quiet)
-        plain = self.out.suffix.lower() == ".mcap" and self == same
+        free = {name: getattr(self, name) for name in ("files", "out", "force", "json", "quiet")}
+        plain = self.output.suffix.lower() == ".mcap" and self == Convert(**free)
         if not (plain and len(self.motions) == 1 and is_session(session)):
             return False
         from g1stream.session.motions import is_of_g1stream
 
         return is_of_g1stream(session)
 
-    def _copy(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _copy(self, on_progress: _Progress) -> _Result:
         from g1stream.app.session import open_session
 
         session = open_session(self.motions[0])
-        session.save(self.out, force=self.force)
-        messages, size = sum(session.topics.values()), self.out.stat().st_size
+        session.save(self.output, force=self.force)
+        messages, size = sum(session.topics.values()), self.output.stat().st_size
         on_progress(1.0)
-        about = {"path": str(self.out), "messages": messages, "size": size}
-        text = f"{self.out}: {counted(messages, 'message')}, {size / 1e6:.1f} MB"
+        about = {"path": str(self.output), "messages": messages, "size": size}
+        text = f"{self.output}: {counted(messages, 'message')}, {size / 1e6:.1f} MB"
         lost = counted(session.unread, "byte")
         end = (f"the last {lost} are an incomplete record and were left out",)
         return about, text, end if session.unread else ()
 
-    def _ros2_bag(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _ros2_bag(self, on_progress: _Progress) -> _Result:
         report = extension("write_bag")(
             Path(self.motions[0]),
-            self.out,
+            self.output,
             force=self.force,
             on_progress=on_progress,
         )
@@ -274,9 +271,7 @@ class Convert(MotionPartFlags):
             text += f"\nomitted, not ROS messages: {', '.join(sorted(report.left_out))}"
         return report.as_dict(), text, ()
 
-    def _file_of_format(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _file_of_format(self, on_progress: _Progress) -> _Result:
         from g1stream.robot.model import G1
 
         assert self.to
@@ -284,7 +279,7 @@ class Convert(MotionPartFlags):
         motion = self._motion(robot)
         take = extension("write_motion")(
             motion,
-            self.out,
+            self.output,
             self.to,
             robot=robot,
             velocities=self.velocities,
@@ -292,20 +287,18 @@ class Convert(MotionPartFlags):
             on_progress=on_progress,
         )
         fps = take.format.fps or motion.fps
-        about = {"path": str(self.out), "format": self.to, "frames": take.n_frames, "fps": fps}
-        text = f"{self.out}: {counted(take.n_frames, 'frame')} at {fps:g} fps for {self.to}"
+        about = {"path": str(self.output), "format": self.to, "frames": take.n_frames, "fps": fps}
+        text = f"{self.output}: {counted(take.n_frames, 'frame')} at {fps:g} fps for {self.to}"
         return about, text, motion.warnings
 
-    def _session_file(
-        self, on_progress: Callable[[float], None]
-    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    def _session_file(self, on_progress: _Progress) -> _Result:
         from g1stream.app.convert import convert, parse_time
         from g1stream.robot.model import G1
 
         robot = G1.load(self.urdf)
         report = convert(
             self.load(self.motions, robot),
-            self.out,
+            self.output,
             robot=robot,
             base_time_ns=parse_time(self.base_time),
             frames=_frames(self.frames),

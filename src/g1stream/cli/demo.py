@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, redirect_stdout
+from contextlib import ExitStack
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from g1stream.cli.command import (
     LiveCommand,
@@ -17,10 +16,11 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import flag
-from g1stream.cli.main import load_command
 from g1stream.cli.motion_flags import MOTION, MotionFlags
+from g1stream.cli.progress import showing_progress
 from g1stream.cli.stream import playing
 from g1stream.errors import ConfigError
+from g1stream.optional import extension
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -37,7 +37,7 @@ class Demo(LiveCommand, MotionFlags):
 
     Examples:
       g1stream demo
-      g1stream demo --motion dance.csv --support hanging --out dance-demo
+      g1stream demo --motion dance.csv --support hanging -o dance-demo
       g1stream demo --support feet
       g1stream demo --policy holosoma
       g1stream demo --duration 5 --viewer
@@ -92,12 +92,10 @@ class Demo(LiveCommand, MotionFlags):
 
 def _write_page(session: Path, page: Path) -> None:
     """Write the page of `g1stream report`, or print how to install it."""
-    told = StringIO()  # the page's path must not mix with JSON on standard output
     try:
-        with redirect_stdout(told):
-            report: Any = load_command("report")
-            report(sessions=(session,), out=page, force=True).run()
+        with showing_progress() as progress:
+            extension("report")(session, page, force=True, progress=progress)
     except ConfigError as error:
         print_warning(f"no {page.name}: {error.cause} {error.remedy}")
     else:
-        print_note(told.getvalue().rstrip())
+        print_note(str(page))

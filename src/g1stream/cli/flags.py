@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 CommandT = TypeVar("CommandT")
 
-#: Flags of earlier versions, and their replacements.
-_REMOVED = {"--trim": "--start and --duration, which apply to the whole motion"}
+#: Least similarity of the name in a hint: --output and --out have 0.667, --topics and --to 0.5.
+_SIMILAR = 0.66
 #: Units that do not explain a value by themselves.
 _UNITS = {"s": "SECONDS", "m": "METERS"}
 
@@ -81,12 +81,13 @@ def flag(
     """A flag of a command, as a field of its dataclass. The default MISSING makes it required.
 
     `metavar` stands for the value in the help, and `shown` for the default. A `positional` flag is
-    given without its name. The value must be greater than `gt`. `aliases` are names such as `-o`.
-    Only --help-all shows an `advanced` flag.
+    given without its name. The value must be greater than `gt`. `aliases` are names such as `-q`;
+    a flag `out` is also `-o`. Only --help-all shows an `advanced` flag.
 
     The flag is refused with one of `excludes`, and unless it finds one of `needs`: a flag or a
-    setting by its key, or KEY=PATTERN for the value of an argument, of several the last. A command
-    without KEY does not need it. What a flag needs is declared before the flag.
+    setting by its key, or KEY=PATTERN for the value of an argument, of several the output, which
+    is --out or the last. A command without KEY does not need it. What a flag needs is declared
+    before the flag.
     """
     required = default is MISSING
     if not shown and default not in (None, False, MISSING):
@@ -213,7 +214,7 @@ class _Parser(ArgumentParser):
         self._advanced += option.advanced
         if option.advanced and not self._everything:
             about["help"] = SUPPRESS
-        names = [self._shown(key), *option.aliases]
+        names = [self._shown(key), *option.aliases, *["-o"] * (key == "out")]
         if kind is bool:
             about["action"] = "store_false" if option.switches_off else "store_true"
         else:
@@ -300,7 +301,7 @@ class _Parser(ArgumentParser):
         def is_given(need: str) -> bool:
             key, _, pattern = need.partition("=")
             value = given.get(key)
-            last = value[-1] if isinstance(value, list) else value
+            last = given.get("out", value[-1]) if isinstance(value, list) else value
             # A file of settings may have what a flag needs, see `SettingsCommand.resolve`.
             named = key in given or ("." in key and "config" in given)
             return named and fnmatch(str(last).lower(), pattern or "*")
@@ -323,12 +324,8 @@ class _Parser(ArgumentParser):
                 flag = name.replace("_", "-")
                 texts[i] = f"{flag}{equals}{value}"
                 if flag not in self._known and flag[:2] not in self._known:
-                    close = [_REMOVED.get(flag), *get_close_matches(flag, self._known, 1)]
-                    instead = next((f"Use {one}; " for one in close if one), "")
-                    raise ConfigError(
-                        f"g1stream {self._command} has no flag {name}.",
-                        f"{instead}{self._see_help()}",
-                    )
+                    cause = f"g1stream {self._command} has no flag {name}."
+                    raise ConfigError(cause, f"{self._nearest(flag)}{self._see_help()}")
         namespace, extra = self.parse_known_intermixed_args(texts)
         if extra:
             raise ConfigError(
@@ -338,6 +335,13 @@ class _Parser(ArgumentParser):
         given = {key: value for key, value in vars(namespace).items() if value not in (None, ())}
         self._check(given)
         return given
+
+    def _nearest(self, flag: str) -> str:
+        """A hint at the known flag with the most similar name, unless it has the opposite sense."""
+        off = flag.startswith("--no-")
+        names = [known[2:] for known in self._known if known.startswith("--no-") == off]
+        close = get_close_matches(flag[2:], names, 1, _SIMILAR)
+        return f"The most similar flag is --{close[0]}; " if close else ""
 
     def error(self, message: str) -> NoReturn:
         """Raise a ConfigError for argparse's error, such as a missing value."""

@@ -51,7 +51,7 @@ COMMANDS: Final = {
         ),
         "library": (
             "extras.library.library_cli:Library",
-            "Check or simulate many motions at once.",
+            "Check many motions, or simulate rollouts of them.",
         ),
         "info": ("cli.info:Info", "Print a session's contents and its tracking error."),
         "attach": (
@@ -246,7 +246,10 @@ def _run(arguments: Sequence[str]) -> int:
         print(f"g1stream {__version__}")
         return 0
     if name not in COMMANDS:
-        close = get_close_matches(name, COMMANDS, 3) or list(COMMANDS)
+        about = (
+            other for other, row in COMMANDS.items() if f" {name}" in f" {row.purpose.lower()}"
+        )
+        close = dict.fromkeys([*get_close_matches(name, COMMANDS, 3, 0.7), *about]) or COMMANDS
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
     from g1stream.cli.command import quietly
     from g1stream.cli.flags import parse_flags

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK
+from g1stream.cli.command import EXIT_OK, print_result
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.session_flags import SessionFlags
 
@@ -29,10 +29,9 @@ class Plot(SessionFlags):
         None, "Joints, limbs or patterns, such as arms,waist_yaw,'left_*'.", "LIST", shown="all"
     )
     what: str | None = flag(None, "Quantities, separated by commas: q, dq, tau, error.", "LIST")
-    out: Path = flag(
-        Path("plot.png"), "The file to write: .png, .svg or .pdf.", "OUT", aliases=("-o",)
-    )
+    out: Path = flag(Path("plot.png"), "The file to write: .png, .svg or .pdf.", "OUT")
     force: bool = flag(False, "Replace an existing file.")
+    json: bool = flag(False, "Print the path as JSON.")
 
     def run(self) -> int:
         """Write the figure, and return the exit code."""
@@ -40,5 +39,5 @@ class Plot(SessionFlags):
 
         what = None if self.what is None else self.what.split(",")
         draw(self.open(self.session), self.out, self.joints, what, force=self.force)
-        print(self.out)
+        print_result({"path": str(self.out)}, str(self.out), as_json=self.json)
         return EXIT_OK

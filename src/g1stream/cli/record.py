@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from g1stream.cli.command import (
     print_note,
     print_summary,
 )
-from g1stream.cli.flags import argument, flag
+from g1stream.cli.flags import flag
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
@@ -33,8 +33,8 @@ class Record(LiveCommand):
     Ctrl-C ends the recording and closes the file.
 
     Examples:
-      g1stream record session.mcap
-      g1stream record robot.mcap --config robot --interface eth0
+      g1stream record -o session.mcap
+      g1stream record -o robot.mcap --config robot --interface eth0
 
     Exit codes:
       0  recorded
@@ -42,7 +42,7 @@ class Record(LiveCommand):
       2  bad input
     """
 
-    file: Path = argument("The session file.", "MCAP")
+    out: Path = flag(MISSING, "The session file.", "MCAP")
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
@@ -55,7 +55,7 @@ class Record(LiveCommand):
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
-            print_note(f"Recording {self.file}. Ctrl-C ends it.")
+            print_note(f"Recording {self.out}. Ctrl-C ends it.")
 
         with ExitStack() as stack:
             # Ctrl-C ends a server that does not start.
@@ -68,7 +68,7 @@ class Record(LiveCommand):
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))
 
             summary = record(
-                self.file,
+                self.out,
                 config,
                 force=self.force,
                 should_stop=lambda: bool(stopped),

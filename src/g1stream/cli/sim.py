@@ -11,9 +11,8 @@ from g1stream.cli.command import (
     LiveCommand,
     announce_wire,
     on_signals,
-    print_json,
-    print_lines,
     print_note,
+    print_result,
 )
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import ProgressDisplay, sim_status
@@ -74,10 +73,7 @@ class Sim(LiveCommand):
             report = simulate(
                 config, should_stop=lambda: bool(stopped), on_ready=on_ready, on_report=on_report
             )
-        if self.json:
-            print_json(asdict(report))
-        else:
-            print_lines(render(report))
+        print_result(asdict(report), render(report), as_json=self.json)
         return EXIT_OK
 
 

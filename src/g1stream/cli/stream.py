@@ -133,7 +133,7 @@ class Stream(LiveCommand, MotionFlags):
     motions: tuple[str, ...] = flag(
         (), MOTIONS, "MOTION...", positional=True, shown="the policy's own"
     )
-    record: Path | None = flag(None, "Record the session into this file.", "MCAP")
+    record: Path | None = flag(None, "Record the session into this file.", "MCAP", aliases=("-o",))
     force: bool = flag(False, "Replace an existing recording.", needs=("record",))
     gains: Path | None = flag(
         None,

@@ -371,7 +371,7 @@ class StreamLoop:
         last = self.newest.target if self.newest and before.phase < Phase.DONE else None
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, G1StreamError):
-            reason = error.cause.rstrip(".")
+            reason = f"{error.cause} {error.remedy}".strip().rstrip(".")
         self._schedule.state = PhaseState(
             Phase.DAMP if last else Phase.DONE, start, Stop("error", reason)
         )

@@ -176,8 +176,7 @@ class RobotMonitor:
             "tilt",
             f"the pelvis tilt is {tilt:.2f} rad ({limit:g} rad is upside down, or its IMU is wrong)"
             if self._config.max_tilt is None and limit == _OVERTURNED
-            else f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad; raise "
-            "it only for a robot that hangs and may swing further)",
+            else f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad)",
         )
 
     def _too_fast(self, measured: Reading) -> Stop | None:

@@ -38,7 +38,7 @@ _LOOK: Final = "Look at this joint in the recording, and at the motion with `g1s
 REMEDIES: Final[dict[StopKind, str]] = {
     "state": "`g1stream doctor` looks for the cause; a simulator needs free CPUs.",
     "robot": "`g1stream doctor` tells what the robot reports; --robot names another kind of G1.",
-    "tilt": "Set the robot up again. If it hangs and only swings, play a smaller or slower part.",
+    "tilt": "Set the robot up again, held. For one that only swings, raise safety.max_tilt.",
     "speed": _LOOK,
     "torque": _LOOK,
     "tracking": "Check the gains, and the motion with `g1stream physics`.",
@@ -46,9 +46,11 @@ REMEDIES: Final[dict[StopKind, str]] = {
     "motor": "Switch the robot off and on; Unitree's app shows the state of its motors.",
     "temperature": "Let the motor cool down.",
     "voltage": "Charge or change the battery.",
+    "fall": "Set the robot up again, and check the motion with `g1stream physics`.",
     "target": "Check the motion with `g1stream motion`, or the program that sends the targets.",
     "loop": "End other programs, or lower stream.rate.",
     "publisher": "End the other program; `g1stream doctor` names it.",
+    "guard": "End other programs, and neither stop nor kill this one.",
     "recorder": "Make room on the disk, or record elsewhere.",
 }
 """What to do, by kind; a kind that is not here needs nothing."""

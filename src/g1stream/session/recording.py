@@ -349,7 +349,7 @@ class Recording:
         """The events of the session, in the order of the file."""
         if self._whole is not None:
             whole = self._whole.log
-            seconds = np.array([event.time - self.start_ns for event in whole]) / 1e9
+            seconds = np.array([event.time_ns - self.start_ns for event in whole]) / 1e9
             return list(compress(whole, self._inside(seconds)))
         return [
             LogEvent.decode(data)

@@ -564,13 +564,13 @@ class LogEvent(NamedTuple):
     """One event of a session.
 
     Attributes:
-        time: when it happened, ns since the epoch.
+        time_ns: when it happened, since the epoch.
         level: DEBUG, INFO, WARNING, ERROR or FATAL; otherwise UNKNOWN.
         name: name of the program that logged it.
         text: the message.
     """
 
-    time: int
+    time_ns: int
     level: str
     name: str
     text: str
@@ -631,7 +631,7 @@ class Warnings:
         """
         texts = []
         for kind, event in self._last.items():
-            ended = event.text.startswith(LOWCMD_TIMEOUT) and 0 < last_command < event.time
+            ended = event.text.startswith(LOWCMD_TIMEOUT) and 0 < last_command < event.time_ns
             if count := self._counts[kind] - ended:
                 text = f"{event.name}: {event.text}"
                 texts.append(text if count == 1 else f"{text} (the last of {count})")

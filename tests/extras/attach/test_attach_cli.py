@@ -49,7 +49,10 @@ def test_the_commands_that_show_sessions_take_the_motion(theirs, tmp_path, run):
     motion = "--motion", "demo"
     summary = json.loads(run("info", theirs, *motion, "--json").out)
     assert summary["tracking"]["all_joints"]["rmse_rad"] == pytest.approx(0.01, abs=1e-3)
-    assert run("plot", theirs, *motion, "-o", tmp_path / "plot.svg", "--what", "error").code == 0
+    path = tmp_path / "plot.svg"
+    plotted = run("plot", theirs, *motion, "-o", path, "--what", "error", "--json")
+    assert json.loads(plotted.out) == {"path": str(path)}
+    assert path.exists()
 
 
 @pytest.mark.parametrize(("command", "flags"), [("attach", []), ("info", ["--motion"])])

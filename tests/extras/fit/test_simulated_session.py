@@ -13,7 +13,7 @@ from g1stream.config import load_config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.fit.excite import exciting_motion
 from g1stream.extras.fit.recorded import Recorded, noise_of
-from g1stream.extras.fit.simulated_session import gap, robot_of
+from g1stream.extras.fit.simulated_session import Cause, Gap, JointGap, gap, robot_of
 from g1stream.extras.fit.simulation import simulate_commands
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -195,6 +195,21 @@ def test_from_the_command_line(other, tmp_path, capsys):
     assert main(["simulate", str(session), "-o", str(out)]) == 2  # it is there
     assert main(["simulate", str(session), "-o", str(session), "--force"]) == 2
     assert main(["simulate", str(session), "--support", "glued"]) == 2
+
+
+@pytest.mark.parametrize("n_explained", [0, 1, 29])
+def test_a_joint_has_a_line_of_its_own_only_if_its_difference_has_a_cause(n_explained):
+    values = dict.fromkeys(("q_rad", "dq_rad_s", "tau_nm"), 1.0)
+    values |= dict.fromkeys(("q_noise_rad", "dq_noise_rad_s", "tau_noise_nm"), 0.0)
+    joint = JointGap(**values, differs=True)
+    known = joint.model_copy(update={"causes": [Cause(name="inertia", amount=1.0, unit="kg")]})
+    joints = {name: known if i < n_explained else joint for i, name in enumerate(JOINT_NAMES)}
+    about = {"session": "a.mcap", "robot": "g1", "support": "bolted"}
+    text = str(Gap(**about, window_s=1.0, simulated_s=9.0, q_rad=1.0, joints=joints))
+    for i, name in enumerate(JOINT_NAMES):
+        told = [line for line in text.splitlines() if line.split()[:1] == [name[:-6]]]
+        assert len(told) == 1 + (i < n_explained)  # in the table, and why
+    assert text.count("simple cause") == (n_explained < 29)
 
 
 def test_who_was_held_in_no_known_way_is_asked_for(same):

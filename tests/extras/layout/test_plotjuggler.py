@@ -103,12 +103,12 @@ def test_a_session_of_a_policy_has_a_tab_for_it(tmp_path):
 def test_the_command_writes_how_to_open_the_session(session, tmp_path, run):
     (tmp_path / "in").mkdir()
     path = session.save(tmp_path / "in" / "session.mcap")
-    told = run("layout", "plotjuggler", path, "--dir", tmp_path / "out")
+    told = run("layout", "plotjuggler", path, "-o", tmp_path / "out")
     made = tmp_path / "out" / "g1stream-plotjuggler.xml"
     assert f"plotjuggler -l {made}" in told.out
     (info,) = ElementTree.parse(made).getroot().iter("fileInfo")
     assert (made.parent / info.get("filename")).samefile(path)
-    assert run("layout", "plotjuggler", "--dir", tmp_path).code == 2
+    assert run("layout", "plotjuggler", "-o", tmp_path).code == 2
 
 
 def test_a_damaged_message_is_refused(session, tmp_path, run):
@@ -118,7 +118,7 @@ def test_a_damaged_message_is_refused(session, tmp_path, run):
             message = next(session.messages(topic))
             writer.write(topic, message.data, message.log_time, message.publish_time)
         writer.write("/measured/joint_states", b"\xff", message.log_time, message.publish_time)
-    assert run("layout", "plotjuggler", path, "--dir", tmp_path).code == 2
+    assert run("layout", "plotjuggler", path, "-o", tmp_path).code == 2
 
 
 def test_a_session_without_joint_states_is_refused(tmp_path):

@@ -27,6 +27,13 @@ def test_status_as_json(calls, run):
     assert (name, where.domain, where.interface, timeout) == ("onboard_status", 9, "lo", 5.0)
 
 
+def test_what_was_released_or_restored_as_json(calls, run):
+    told = run("robot", "release", "--timeout", "2", "--json")
+    assert json.loads(told.out) == {"released": "ai"}
+    told = run("robot", "restore", "normal", "--json")
+    assert json.loads(told.out) == {"active": "normal"}
+
+
 def test_release_on_loopback_needs_no_confirmation(calls, run):
     assert "g1stream robot restore ai" in run("robot", "release", "--timeout", "2").out
     assert [(name, args[-1]) for name, *args in calls] == [("release_mode", 2.0)]
@@ -43,7 +50,6 @@ def test_restore_takes_a_name(calls, run):
         ["dance"],
         ["restore"],
         ["status", "ai"],
-        ["release", "--json"],
         ["status", "--yes", "lo"],
         ["release", "--interface", "eth9"],
         ["release", "--interface", "eth9", "--yes", "eth0"],

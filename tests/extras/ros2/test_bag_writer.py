@@ -234,7 +234,7 @@ def test_the_command_and_the_flags_of_motions_that_it_refuses(tmp_path, capsys):
     assert main(["convert", "demo", str(bag), "--ros2"]) == 2
     assert not bag.exists()
     capsys.readouterr()
-    assert main(["convert", str(session), str(bag), "--ros2", "--json"]) == 0
+    assert main(["convert", str(session), "-o", str(bag), "--ros2", "--json", "-q"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["path"] == str(bag)
     assert report["counts"].keys() == {"/tf", "/reference/joint_states", "/robot_description"}

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from PIL import Image
 
 import g1stream
 from g1stream.app.session import open_session
+from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.extras.video.render import AZIMUTHS, Poses, render
@@ -136,7 +138,7 @@ def test_what_cannot_be_written_leaves_nothing(session, tmp_path, name, how, err
 def test_no_opengl_is_an_error(session, tmp_path):
     out = tmp_path / "out.png"
     environment = os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "osmesa"}  # contradict
-    command = [sys.executable, "-m", "g1stream", "render", session().path, out]
+    command = [sys.executable, "-m", "g1stream", "render", session().path, "-o", out]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
@@ -152,6 +154,16 @@ def test_a_robot_without_shapes_is_an_error(session, tmp_path, monkeypatch):
     monkeypatch.setattr("g1stream.extras.video.render.with_shapes", lambda robot: bare)
     with pytest.raises(RobotError, match="shapes"):
         render(session(), tmp_path / "out.png", start=1.0, size=SIZE)
+
+
+def test_the_command_says_what_it_wrote_as_json(session, tmp_path, capsys):
+    path = tmp_path / "out.gif"
+    given = ["render", str(session().path), "-o", str(path), "--size", "96x96", "--fps", "5"]
+    assert main([*given, "--start", "0.5", "--duration", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    with Image.open(path) as picture:
+        assert (told["path"], told["frames"]) == (str(path), picture.n_frames)
+    assert (told["start"], told["duration"]) == (0.5, 1.0)
 
 
 def test_a_size_has_two_numbers():

@@ -42,7 +42,7 @@ class Attach(MotionPartFlags):
 
     session: Path = argument("The session, bag or log.", "SESSION")
     reference: str = argument(MOTION, "MOTION")
-    out: Path | None = flag(None, "The session to write.", "OUT.mcap", aliases=("-o",))
+    out: Path | None = flag(None, "The session to write.", "OUT.mcap")
     play: int = flag(1, "Which playback to use, if the motion was played several times.", "N", gt=0)
     force: bool = flag(False, "Replace an existing file.", needs=("out",))
     json: bool = flag(False, "Print the result as JSON.")

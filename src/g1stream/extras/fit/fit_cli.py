@@ -37,9 +37,7 @@ class FitParameters(SettingsCommand):
     sessions: tuple[Path, ...] = flag(
         (), "Session files of one robot.", "SESSION...", positional=True, shown="none"
     )
-    out: Path | None = flag(
-        None, "The parameters file to write.", "TOML", aliases=("-o",), shown="none"
-    )
+    out: Path | None = flag(None, "The parameters file to write.", "TOML", shown="none")
     hold_out: Path | None = flag(
         None,
         "Session for validation, which is not used for fitting.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, SettingsCommand, print_result
 from g1stream.cli.flags import argument, flag
 
 
@@ -29,9 +29,7 @@ class Simulate(SettingsCommand):
     """
 
     session: Path = argument("Session file.", "SESSION")
-    out: Path | None = flag(
-        None, "Write the session with the simulated joints.", "MCAP", aliases=("-o",)
-    )
+    out: Path | None = flag(None, "Write the session with the simulated joints.", "MCAP")
     force: bool = flag(False, "Replace an existing file.")
     window: float = flag(1.0, "Time between restarts from the measured state.", "SECONDS", gt=0.0)
     support: str | None = flag(
@@ -62,8 +60,5 @@ class Simulate(SettingsCommand):
             window=self.window,
             force=self.force,
         )
-        if self.json:
-            print_json(found.model_dump(mode="json"))
-        else:
-            print_lines(str(found))
+        print_result(found.model_dump(mode="json"), str(found), as_json=self.json)
         return EXIT_OK

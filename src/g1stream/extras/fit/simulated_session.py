@@ -29,7 +29,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1, REVISIONS, VARIANTS
 from g1stream.session.records import ParametersInfo, Record, StreamSummary, read_record
 from g1stream.session.source import ExtendedSource, MemorySource
-from g1stream.text import labelled, table
+from g1stream.text import counted, labelled, table
 from g1stream.types import Floats
 from g1stream.view.encoders import JointStatesTemplate
 
@@ -485,6 +485,7 @@ def _render(found: Gap) -> str:
         "this explains. These are hints; `g1stream fit` measures."
     )
     alike = len(found.joints) - len(shown)
+    unexplained = sum(not one.causes for one in shown.values())
     params = str(found.params) if found.params else "default parameters"
     return "\n".join(
         [
@@ -499,12 +500,11 @@ def _render(found: Gap) -> str:
             *lines,
             *([""] if shown else []),
             *(
-                labelled(
-                    f"{name.removesuffix('_joint'):<22}",
-                    "; ".join(map(str, one.causes)) or "no simple cause",
-                )
+                labelled(f"{name.removesuffix('_joint'):<22}", "; ".join(map(str, one.causes)))
                 for name, one in shown.items()
+                if one.causes
             ),
-            *(["", labelled("", meaning)] if shown else []),
+            *([f"no simple cause       {counted(unexplained, 'joint')}"] if unexplained else []),
+            *(["", labelled("", meaning)] if len(shown) > unexplained else []),
         ]
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Final, Literal
 
-from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.command import EXIT_OK, Command, print_result
 from g1stream.cli.flags import argument, flag
 
 #: File name of each viewer's layout, and how it is loaded.
@@ -29,7 +29,7 @@ class Layout(Command):
 
     Examples:
       g1stream layout lichtblick session.mcap
-      g1stream layout foxglove --dir layouts
+      g1stream layout foxglove -o layouts
       g1stream layout plotjuggler session.mcap
 
     Exit codes:
@@ -43,10 +43,11 @@ class Layout(Command):
     session: Path | None = flag(
         None, "A session file from which the joints are chosen.", "SESSION", positional=True
     )
-    dir: Path = flag(
-        Path(), "Directory to write the layout to.", "DIR", shown="the current directory"
+    out: Path = flag(
+        Path(), "The file to write, or its directory.", "OUT", shown="the current directory"
     )
     force: bool = flag(False, "Replace an existing file.")
+    json: bool = flag(False, "Print the path and the plotted joints as JSON.")
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
@@ -54,7 +55,7 @@ class Layout(Command):
         from g1stream.errors import ConfigError
         from g1stream.extras.layout.foxglove import DEFAULT_JOINTS, foxglove_layout
         from g1stream.extras.layout.plotjuggler import plotjuggler_layout
-        from g1stream.files import complete_file, output_errors
+        from g1stream.files import check_suffix, complete_file, output_errors
         from g1stream.session.recording import open_recording
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
@@ -63,21 +64,23 @@ class Layout(Command):
             recording = open_recording(self.session)
             joints = worst_joints(recording, len(joints)) or joints
         name, how = _VIEWERS[self.viewer]
-        path = self.dir / name
+        path = self.out / name if self.out.is_dir() or not self.out.suffix else self.out
+        check_suffix(path, f"a layout for {self.viewer}", Path(name).suffix)
         if self.viewer == "plotjuggler":
             if recording is None:
                 raise ConfigError(
                     "The layout for PlotJuggler opens a session and names its curves.",
                     "Give the session: `g1stream layout plotjuggler session.mcap`.",
                 )
-            place = os.path.relpath(recording.path.resolve(), self.dir.resolve())
+            place = os.path.relpath(recording.path.resolve(), path.parent.resolve())
             content = plotjuggler_layout(recording, place, joints).encode()
         else:
             layout = foxglove_layout(joints, recording.robot if recording else None)
             content = json.dumps(layout, indent=1).encode() + b"\n"
-        with output_errors(self.dir):
-            self.dir.mkdir(parents=True, exist_ok=True)
+        with output_errors(path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
         with complete_file(path, force=self.force) as temporary:
             temporary.write_bytes(content)
-        print(f"{path}\n{how.format(path=quote(str(path)))}")
+        text = f"{path}\n{how.format(path=quote(str(path)))}"
+        print_result({"path": str(path), "joints": joints}, text, as_json=self.json)
         return EXIT_OK

@@ -87,7 +87,7 @@ class Library(SettingsCommand):
         "ACTION",
     )
     places: tuple[str, ...] = argument("Directories, and motion files.", "PATH...")
-    out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
+    out: Path = flag(Path("library"), "Directory of the tables.", "DIR")
     support: str | None = flag(
         None,
         f"How the pelvis is held: {', '.join(get_args(StreamSupport))}; several with commas.",

@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal
 
-from g1stream.cli.command import EXIT_OK, SettingsCommand, confirmed, print_json, yes_flag
+from g1stream.cli.command import EXIT_OK, SettingsCommand, confirmed, print_result, yes_flag
 from g1stream.cli.flags import argument, flag
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import ConsoleHandler, handled_by
@@ -49,9 +49,7 @@ class Robot(SettingsCommand):
     )
     timeout: float = flag(5.0, "Longest wait for an answer, including discovery.", "SECONDS", gt=0)
     yes: str | None = yes_flag("action=release", "action=restore")
-    json: bool = flag(
-        False, "Print the status as JSON on standard output.", needs=("action=status",)
-    )
+    json: bool = flag(False, "Print the result as JSON on standard output.")
 
     def run(self) -> int:
         """Do the action, and return the exit code."""
@@ -67,10 +65,7 @@ class Robot(SettingsCommand):
         from g1stream.extras.onboard.motion_service import onboard_status
 
         status = onboard_status(config.dds, self.timeout)
-        if self.json:
-            print_json(asdict(status))
-        else:
-            print(f"active mode: {status.name or 'none'}")
+        print_result(asdict(status), f"active mode: {status.name or 'none'}", as_json=self.json)
         return EXIT_OK
 
     def _change(self, config: Config) -> int:
@@ -89,11 +84,11 @@ class Robot(SettingsCommand):
                 )
         if self.mode:
             restore_mode(config.dds, self.mode, self.timeout)
-            print(f"mode {self.mode} is active")
-        elif released := release_mode(config.dds, self.timeout):
-            print(
-                f"mode {released} is released; restore it with: g1stream robot restore {released}"
-            )
+            about, text = {"active": self.mode}, f"mode {self.mode} is active"
         else:
-            print("no mode is active: nothing to release")
+            released = release_mode(config.dds, self.timeout)
+            how = f"is released; restore it with: g1stream robot restore {released}"
+            text = f"mode {released} {how}" if released else "no mode is active: nothing to release"
+            about = {"released": released}
+        print_result(about, text, as_json=self.json)
         return EXIT_OK

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines, print_warning
+from g1stream.cli.command import EXIT_OK, SettingsCommand, print_result, print_warning
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import showing_progress
@@ -62,8 +62,5 @@ class Physics(SettingsCommand, MotionFlags):
                 suggest=True,
                 progress=partial(progress, "physics"),
             )
-        if self.json:
-            print_json(physics.model_dump(mode="json"))
-        else:
-            print_lines(str(physics))
+        print_result(physics.model_dump(mode="json"), str(physics), as_json=self.json)
         return EXIT_OK

@@ -10,6 +10,7 @@ from g1stream.cli.command import (
     Command,
     print_json,
     print_lines,
+    print_result,
     print_warning,
 )
 from g1stream.cli.flags import flag
@@ -77,10 +78,8 @@ class Policy(Command):
         from g1stream.extras.policy.replay import replay_policy
 
         found = replay_policy(open_session(path), self.file)
-        if self.json:
-            print_json(found.model_dump(mode="json") | {"same": found.same})
-        else:
-            print_lines(str(found))
+        about = found.model_dump(mode="json") | {"same": found.same}
+        print_result(about, str(found), as_json=self.json)
         return EXIT_OK if found.same else EXIT_STOPPED
 
     def _show(self, file: str) -> int:

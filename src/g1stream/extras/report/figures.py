@@ -85,11 +85,11 @@ def _events(session: Session) -> list[dict[str, Any]]:
     log = sorted(session.log, key=lambda event: event.level in {"DEBUG", "INFO", "UNKNOWN"})
     return [
         {
-            "time": (event.time - session.start_ns) / 1e9,
+            "time": (event.time_ns - session.start_ns) / 1e9,
             "level": event.level,
             "text": printable(f"{event.name}: {event.text}"),
         }
-        for event in sorted(log[:_MOST_EVENTS], key=lambda event: event.time)
+        for event in sorted(log[:_MOST_EVENTS], key=lambda event: event.time_ns)
     ]
 
 

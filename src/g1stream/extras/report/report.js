@@ -61,6 +61,15 @@
     type: "scatter", mode: "lines", x: floats(curve.x), y: floats(curve.y), name: curve.name,
     line: { width: 1.5, color: curve.colour }, ...more,
   });
+  // Errors are scaled to PLAY; those of RAMP may be larger.
+  const scaled = (session, lines, least) => {
+    const play = session.phases.find(({ name }) => name === "PLAY");
+    const seen = play ? lines.flatMap(({ x, y }) => [...y].filter((value, i) =>
+      x[i] >= play.start && x[i] <= play.end && !Number.isNaN(value))) : [];
+    if (!seen.length) return {};
+    const low = Math.min(...seen), high = Math.max(...seen), room = 0.1 * (high - low) || 1e-3;
+    return { range: [least ?? low - room, high + room] };
+  };
   const plain = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;")
     .replace(/(.{60,}?) /g, "$1<br>");
 
@@ -76,9 +85,10 @@
           marker: { symbol: "triangle-up", size: 10, color }, showlegend: shown.length > 0,
         };
       });
-      return [[...session.limbs.map((limb) => line(limb)), ...events],
+      const limbs = session.limbs.map((limb) => line(limb));
+      return [[...limbs, ...events],
         layout(320, { shapes: phases(session), annotations: names(session), xaxis: times(session),
-                      yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
+                      yaxis: axis("RMS error, deg", scaled(session, limbs, 0)) })];
     },
     joint(session, chosen) {
       const rows = Object.keys(PANELS).filter((one) => session.signals[one].lines.length);
@@ -96,7 +106,8 @@
         });
         traces.push(...curves.reverse()); // what was asked for lies on top
         panels[`yaxis${n}`] = axis(label,
-          { domain: [Math.max(0, top - PANELS[quantity]) / inner, top / inner] });
+          { domain: [Math.max(0, top - PANELS[quantity]) / inner, top / inner],
+            ...(quantity === "error" && scaled(session, curves)) });
         panels[`legend${n}`] = { orientation: "h", x: 0, y: top / inner, yanchor: "bottom" };
         top -= PANELS[quantity] + GAP;
         const limit = quantity === "tau" && session.torque_limits[chosen];

@@ -32,7 +32,7 @@ class Report(SessionFlags):
     """  # noqa: D205
 
     sessions: tuple[Path, ...] = argument("Session files.", "SESSION...")
-    out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
+    out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE))
     force: bool = flag(False, "Replace an existing file.")
     json: bool = flag(
         False, "Print summary, metrics, physics as JSON; no page.", excludes=("csv", "out")

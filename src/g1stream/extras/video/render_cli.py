@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import MISSING, asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK
+from g1stream.cli.command import EXIT_OK, print_result
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.cli.session_flags import SessionFlags
@@ -24,9 +24,9 @@ class Render(SessionFlags):
     `meshes` adds the real G1's meshes; MP4 needs the extra `video`.
 
     Examples:
-      g1stream render session.mcap session.mp4
-      g1stream render session.mcap wave.gif --start 3 --duration 4 --size 320x320
-      g1stream render session.mcap pose.png --start 5.2 --camera left
+      g1stream render session.mcap -o session.mp4
+      g1stream render session.mcap -o wave.gif --start 3 --duration 4 --size 320x320
+      g1stream render session.mcap -o pose.png --start 5.2 --camera left
 
     Exit codes:
       0  written
@@ -34,7 +34,7 @@ class Render(SessionFlags):
     """  # noqa: D205
 
     session: Path = argument("The session file.", "SESSION")
-    out: Path = argument("The file to write: .mp4, .gif, or .png for one frame.", "OUT")
+    out: Path = flag(MISSING, "The file to write: .mp4, .gif, or .png for one frame.", "OUT")
     start: float | None = flag(
         None, "Time of the first frame on the motion's clock.", "SECONDS", shown="of the session"
     )
@@ -43,6 +43,7 @@ class Render(SessionFlags):
     size: str = flag("1280x720", "Width and height, pixels.", "WxH")
     camera: Camera = flag("oblique", "Position of the camera around the robot.", shown="oblique")
     force: bool = flag(False, "Replace an existing file.")
+    json: bool = flag(False, "Print path, frames, and what is shown as JSON.")
 
     def run(self) -> int:
         """Write the video, and return the exit code."""
@@ -60,10 +61,12 @@ class Render(SessionFlags):
                 progress=partial(progress, "rendered"),
             )
         took = time.monotonic() - started
-        print(
+        text = (
             f"{video.path}: {counted(video.frames, 'frame')} from {video.start:.2f} s, "
             f"{video.shown}, {'meshes' if video.meshes else 'primitive shapes'}, in {took:.1f} s"
         )
+        about = asdict(video) | {"path": str(video.path)}
+        print_result(about, text, as_json=self.json)
         return EXIT_OK
 
 

@@ -21,6 +21,8 @@ from g1stream.robot.model import G1
 from known_policies import METADATA, endless, saved
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+#: A gain for each motor, alike left and right.
+BY_MOTOR = [20.0 + motor for motor in (*range(6), *range(6), *range(12, 15), *[*range(15, 22)] * 2)]
 #: Metadata with a value for each joint.
 BY_JOINT = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
 
@@ -50,12 +52,12 @@ def test_metadata_of_whole_body_tracking(policy):
 def test_a_toml_file_comes_first_and_its_patterns_are_put_over_each_other(policy):
     path = policy()
     path.with_suffix(".toml").write_text(
-        'rate = 100.0\nkp = { "*" = 20.0, "left_knee_joint" = 90.0 }\n'
+        'rate = 100.0\nkp = { "*" = 20.0, "*_knee_joint" = 90.0 }\n'
     )
     contract = contract_of(path)
     kp = dict(zip(contract.joint_names, contract.kp, strict=True))
     assert contract.rate == 100.0
-    assert (kp["left_knee_joint"], kp["right_knee_joint"]) == (90.0, 20.0)
+    assert (kp["left_knee_joint"], kp["waist_yaw_joint"]) == (90.0, 20.0)
     assert contract.kd == [2.0] * 29
     assert contract.origin["rate"] == str(path.with_suffix(".toml"))
 
@@ -68,7 +70,7 @@ def deployed(policy):
         values = {
             "joint_ids_map": [*range(28, -1, -1)],
             "step_dt": 0.02,
-            "stiffness": [float(motor) for motor in range(29)],
+            "stiffness": BY_MOTOR,
             "damping": [1.0] * 29,
             "default_joint_pos": [0.0] * 29,
             "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.01] * 29}},
@@ -89,8 +91,8 @@ def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(deployed
     }
     contract = contract_of(deployed(61, observations))
     assert contract.joint_names == list(JOINT_NAMES[::-1])
-    assert contract.kp == [float(motor) for motor in range(28, -1, -1)]
-    assert contract.in_motor_order(contract.kp).tolist() == [float(m) for m in range(29)]
+    assert contract.kp == BY_MOTOR[::-1]
+    assert contract.in_motor_order(contract.kp).tolist() == BY_MOTOR
     assert contract.default_pos == [0.0] * 29
     assert contract.action_offset == [0.01] * 29
     assert [term.scale for term in contract.terms] == [[0.2] * 3, [1.0], [1.0]]
@@ -281,7 +283,7 @@ def test_metadata_of_holosoma_0_0_3(policy):
     ]
     told = HOLOSOMA | {
         "experiment_config": json.dumps(TRAINING),
-        "action_scale": json.dumps([0.01 * joint for joint in range(29)]),
+        "action_scale": json.dumps([0.01 * gain for gain in BY_MOTOR]),
         "observation_layout": json.dumps(layout),
         "observation_clip": "50.0",
     }
@@ -291,7 +293,7 @@ def test_metadata_of_holosoma_0_0_3(policy):
         ("actions", 87, [1.0]),
     ]
     assert contract.terms[1].clip == [[-1.0], [1.0]]
-    assert contract.action_scale == [0.01 * joint for joint in range(29)]
+    assert contract.action_scale == [0.01 * gain for gain in BY_MOTOR]
     assert (contract.clip, contract.history_start) == (50.0, "zeros")
 
 

@@ -96,6 +96,7 @@ class Policy(Command):
         if self.toml:
             print_lines(contract.toml())
             return EXIT_OK
+        print_warning(*contract.doubts)
         motion = load_motion(self.motion) if self.motion else None
         if motion:
             print_warning(*motion.warnings)

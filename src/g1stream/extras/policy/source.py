@@ -6,6 +6,7 @@ observed reference is the target of the motion. Before and after the motion the 
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
     from g1stream.types import Floats
 
 __all__ = ["TILTED", "BackToStanding", "PolicyTargets"]
+
+_LOGGER = logging.getLogger(__name__)
 
 TILTED: Final = 0.6
 """Tilt of the pelvis against the reference that counts as a fall, rad. Two policies that danced
@@ -159,6 +162,8 @@ class PolicyTargets(Source):
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
                 "Start it with --support free.",
             )
+        for doubt in self.contract.doubts:
+            _LOGGER.warning("policy: %s", doubt)
         self._lowered_by_bridge = announced == "free"
         return Mode(None, "free", self._robot.name)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import threading
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from traceback import extract_tb
@@ -28,7 +27,7 @@ from g1stream.realtime import describe, on_time
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
@@ -237,40 +236,21 @@ class _RecorderChild:
 
 def _rehearse(motion: Motion, config: Config) -> None:
     """Refuse a policy that fails in the simulator within the first seconds of the motion."""
-    from g1stream.app.rollout import rollout  # slow to import
+    from g1stream.app.rollout import rehearse  # slow to import
 
     settings = config.stream
-    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
-    _LOGGER.info("rehearsal: %g s in the simulator", seconds)
+    _LOGGER.info("rehearsal: %g s in the simulator", settings.rehearse)
     standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
-    asked = config.model_copy(update={"stream": standing})
-    with _unlogged():  # its events are not the stream's
-        reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
+    reason = rehearse(motion, config.model_copy(update={"stream": standing})).termination.reason
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
-            f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
-            "Check its inputs with `g1stream policy`, or give --anyway to stream it nevertheless.",
+            f"The policy does not play {settings.rehearse:g} s of the motion in the simulator: "
+            f"{reason}.",
+            "Check its inputs with `g1stream policy POLICY --motion MOTION`, or give --anyway to "
+            "stream it nevertheless.",
         )
     if reason:
         _LOGGER.warning("rehearsal: %s", reason)
-
-
-@contextmanager
-def _unlogged() -> Iterator[None]:
-    """Keep events of this thread, and of no other, from the handlers that exist."""
-    thread, logger, root = threading.get_ident(), logging.getLogger("g1stream"), logging.getLogger()
-
-    def of_others(record: logging.LogRecord) -> bool:
-        return record.thread != thread or not record.name.startswith(logger.name)
-
-    handlers = [*logger.handlers, *root.handlers]
-    for one in handlers:
-        one.addFilter(of_others)
-    try:
-        yield
-    finally:
-        for one in handlers:
-            one.removeFilter(of_others)
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:

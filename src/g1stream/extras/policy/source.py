@@ -19,7 +19,7 @@ from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
-from g1stream.extras.policy.first_actions import first_actions
+from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
 from g1stream.extras.policy.odometry import OF_BASE, LegOdometry
@@ -59,6 +59,10 @@ for two minutes, in simulators that stalled, were tilted by at most 0.41."""
 
 #: Time to move from the still pose to the motion and back, s.
 _BLEND: Final = 1.0
+#: A fall within this time after the begin of the motion has begun while the robot stood, s.
+_FALLING: Final = 0.5
+#: A robot that falls earlier than this, s, also falls with a shorter `--stand`.
+_SOON: Final = 1.0
 #: PLAY begins when the feet have carried this fraction of the weight for this time, s, because a
 #: policy kicks while its feet are in the air.
 _CARRIED: Final = 0.1, 0.5
@@ -138,11 +142,7 @@ class PolicyTargets(Source):
 
     def prepare(self, motion: Motion) -> tuple[Motion, str]:
         settings = self._settings
-        first = first_actions(self.contract, self._network, self._robot, motion)
-        if first and first.problem and settings.beyond_limits != "anyway":
-            raise ConfigError(
-                f"{first.problem}.", "`g1stream stream --anyway` plays it in a simulator."
-            )
+        check_motion(self.contract, self._network, motion)
         part, whole = Interval.from_config(settings, motion), motion.duration
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
@@ -239,6 +239,11 @@ class PolicyTargets(Source):
             self._fall = (
                 f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
             )
+            (begin, end), time = self._phases[0], moment.target.motion_time
+            if time < begin + _FALLING or time > end + _BLEND:
+                self._fall += f", while it stands {'after' if time > end else 'before'} the motion"
+                if time > _SOON and self._settings.stand > _SOON:
+                    self._fall += "; give a shorter --stand, such as 0.5"
 
     def _state(self, moment: Moment) -> RobotState:
         measured, imu = moment.measured, moment.measured.imu

@@ -11,7 +11,7 @@ from g1stream.config import Config, DdsConfig
 from g1stream.control.sources import HeldTorques
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LOWCMD, SECONDARY_IMU, SecondaryImu
+from g1stream.dds.messages import LOWCMD, ODOMMODESTATE, SECONDARY_IMU, SecondaryImu, SportModeState
 from g1stream.errors import MotionError, RecordingError, SafetyError
 from g1stream.events import handled_by
 from g1stream.motion.readers import load_motion
@@ -38,6 +38,19 @@ def test_where_nobody_is_it_says_where_to_look(claim_domain, config, monkeypatch
     assert summary.tracking is None
     remedies = [one.remedy for one in summary.stream.findings if one.about == "domain"]
     assert f"Use --domain {there}." in remedies
+
+
+def test_a_source_hears_the_newest_sample_of_a_topic(domain_id, until):
+    sent = SportModeState()
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as robot:
+        newest, writer = program._newest(ours, ODOMMODESTATE), RawWriter(robot, ODOMMODESTATE)
+        until(writer.subscribers, "matched")
+        for place in (1.0, 2.0):
+            sent.position[:] = place
+            writer.write(sent.tobytes(), 1)
+        heard = []
+        until(lambda: heard.append(newest()) or heard[-1] == sent.tobytes(), "received")
+        assert newest() is None
 
 
 def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path):

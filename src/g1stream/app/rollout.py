@@ -145,17 +145,14 @@ def rollout(
     return Session(source)
 
 
-def rehearse(motion: Motion, config: Config) -> Summary:
-    """Play the first `stream.rehearse` seconds of a motion in lockstep, and return its summary.
+def rehearse(motion: Motion, config: Config, stand: float = 0.5) -> Summary:
+    """Play the first `stream.rehearse` seconds of a motion, without events; otherwise as `rollout`.
 
-    Its events do not reach the handlers of the caller.
-
-    Raises:
-        G1StreamError: as of `rollout`.
+    The robot stands for `stand` seconds before and after the motion.
     """
     settings = config.stream
     seconds = min(settings.rehearse, settings.duration or settings.rehearse)
-    brief = settings.model_copy(update={"ramp": 1.0, "hold": 0.0})
+    brief = settings.model_copy(update={"stand": stand, "ramp": 1.0, "hold": 0.0})
     with _unlogged():
         session = rollout(
             motion, config=config.model_copy(update={"stream": brief}), seconds=seconds

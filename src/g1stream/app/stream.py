@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +19,7 @@ from g1stream.control.link import DdsLink
 from g1stream.control.stop import Stop
 from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
+from g1stream.dds.endpoints import RawReader
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.control.plan import Plan
     from g1stream.control.report import LoopReport
+    from g1stream.dds.messages import Topic
     from g1stream.doctor.facts import Finding
     from g1stream.motion.motion import Motion
 
@@ -43,8 +46,6 @@ _LOGGER = logging.getLogger(__name__)
 
 #: Time to listen on DDS for a diagnosis if no robot answered, s.
 _LISTEN: Final = 0.2
-#: Time to stand before and after the motion in a rehearsal, s.
-_REHEARSED_STANDING: Final = 0.5
 
 
 def stream(
@@ -109,6 +110,7 @@ def stream(
             _refuse_if_commanded(participant, planned)
         steps = planned.source.traits.about is not None
         link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, steps=steps)
+        planned.source.listen(partial(_newest, participant))
         events = dds_log_handler(participant, "stream")
         loop = make_loop(planned, link, clock)
         if on_loop:
@@ -240,8 +242,7 @@ def _rehearse(motion: Motion, config: Config) -> None:
 
     settings = config.stream
     _LOGGER.info("rehearsal: %g s in the simulator", settings.rehearse)
-    standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
-    reason = rehearse(motion, config.model_copy(update={"stream": standing})).termination.reason
+    reason = rehearse(motion, config).termination.reason
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
             f"The policy does not play {settings.rehearse:g} s of the motion in the simulator: "
@@ -251,6 +252,12 @@ def _rehearse(motion: Motion, config: Config) -> None:
         )
     if reason:
         _LOGGER.warning("rehearsal: %s", reason)
+
+
+def _newest(participant: Participant, topic: Topic) -> Callable[[], bytes | None]:
+    """Subscribe to a topic; the result returns its newest sample since the last call."""
+    reader = RawReader(participant, topic)
+    return lambda: sample.data if (sample := reader.take_latest()) else None
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:

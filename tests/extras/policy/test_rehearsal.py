@@ -55,8 +55,8 @@ def simulated(monkeypatch):
     def simulate(stands):
         tried = []
 
-        def rehearse(motion, config):
-            tried.append((read_contract(Network(config.stream.policy)), config.stream.stand))
+        def rehearse(motion, config, stand):
+            tried.append((read_contract(Network(config.stream.policy)), stand))
             reason = "" if stands(*tried[-1]) else "the robot falls"
             ended = Termination(reason=reason, played_s=1.0 if reason else 7.0, motion_s=7.0)
             return Summary(termination=ended)

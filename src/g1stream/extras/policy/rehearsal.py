@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from g1stream.app.rollout import rehearse
-from g1stream.config import Config, load_config
+from g1stream.config import Config, StreamConfig
 from g1stream.errors import G1StreamError
 from g1stream.extras.policy.contract import PolicyContract, Term
 from g1stream.extras.policy.families import beside
@@ -140,8 +140,8 @@ def rehearse_policy(
 
         def tried(about: str, changed: PolicyContract, stand: float) -> tuple[Trial, float]:
             beside(copy).write_text(changed.toml(), encoding="utf-8")
-            config = load_config(over={"stream.policy": str(copy), "stream.stand": stand})
-            summary = rehearse(motion, config)
+            config = Config(stream=StreamConfig(policy=str(copy)))
+            summary = rehearse(motion, config, stand)
             ended, followed = summary.termination, summary.tracking
             trial = Trial(
                 contract=about,

@@ -15,14 +15,14 @@ import numpy as np
 
 from g1stream.control.gains import Gains
 from g1stream.control.sources import Mode, Source, Status, Traits
-from g1stream.dds.messages import PolicyStep
+from g1stream.dds.messages import ODOMMODESTATE, PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
-from g1stream.extras.policy.odometry import OF_BASE, LegOdometry
+from g1stream.extras.policy.odometry import OF_BASE, Odometry
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Setpoint
+    from g1stream.dds.messages import Topic
     from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
     from g1stream.types import Floats
@@ -115,7 +116,7 @@ class PolicyTargets(Source):
         self._lowered_by_bridge = False
         self._share = self._carried_for = 0.0
         self._weighed = -_LOAD_PERIOD  # time of the last check, s
-        self._odometry = LegOdometry(robot) if estimated else None
+        self._odometry = Odometry(robot) if estimated else None
         self._phases = np.zeros(2), np.zeros(2)  # motion times, and shares of the motion then
         self._target: Floats | None = None
         self._next = 0.0
@@ -153,8 +154,15 @@ class PolicyTargets(Source):
         self._phases = np.array([begin, begin + length]), shares
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         if self._odometry:
-            text += "; the velocity of the pelvis is estimated by leg odometry"
+            text += (
+                f"; place and velocity of the pelvis come from {ODOMMODESTATE.name} where it is "
+                "published, and else from leg odometry"
+            )
         return changed, text
+
+    def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
+        if self._odometry:
+            self._odometry.newest = subscribe(ODOMMODESTATE)
 
     def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):

@@ -8,7 +8,7 @@ from g1stream.cli.main import main
 from g1stream.extras.policy import rehearsal
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.rehearsal import rehearse_policy
+from g1stream.extras.policy.rehearsal import Rehearsal, Trial, rehearse_policy
 from known_policies import DANCE, POLICIES, needs_policies
 
 UNITREE = POLICIES / "unitree_dance1_subject2" / "policy.onnx"
@@ -87,30 +87,35 @@ def test_the_contract_near_a_wrong_one_that_stands_is_found(policy, simulated, n
     assert len(tried) == 2 + len(found.near)
 
 
-def test_a_policy_that_stands_is_tried_once(policy, simulated):
+def test_a_policy_that_stands_is_compared_with_its_other_anchor(policy, simulated):
     tried = simulated(lambda contract, stand: True)
     network = Network(policy())
     found = rehearse_policy(network, read_contract(network), g1stream.load_motion("demo"))
     assert found.stands
-    assert (len(tried), found.near, found.longer) == (1, [], None)
-    assert (found.own.stood_s, found.stand_s) == (7.0, 3.0)
+    assert (found.own.stood_s, found.stand_s, found.longer) == (7.0, 3.0, None)
+    assert [(contract.anchor, stand) for contract, stand in tried] == [
+        ("torso_link", 3.0),
+        ("pelvis", 3.0),
+    ]
 
 
-@pytest.mark.parametrize(("anchor", "stands"), [("torso_link", True), ("pelvis", False)])
-def test_a_policy_that_stands_for_a_short_time_only(policy, simulated, anchor, stands):
-    """It is right, unless the other anchor stands for longer."""
-    tried = simulated(
-        lambda contract, stand: stand < 1.0 or (anchor, contract.anchor) == ("pelvis", "torso_link")
-    )
-    network = Network(policy({"anchor_body_name": anchor}))
+@pytest.mark.parametrize(("other", "doubted"), [(0.098, True), (0.142, False), (0.1, False)])
+def test_another_anchor_that_follows_closer_is_named(other, doubted):
+    own = Trial(contract="", stood_s=7.0, reason="", rmse_rad=0.11)
+    near = own.model_copy(update={"contract": "anchor torso_link", "rmse_rad": other})
+    found = Rehearsal(tried_s=7.0, stand_s=0.5, own=own, longer=None, near=[near])
+    assert found.stands
+    assert bool(found.doubts) is doubted
+
+
+def test_a_policy_that_stands_for_a_short_time_only_stands(policy, simulated):
+    tried = simulated(lambda contract, stand: stand < 1.0)
+    network = Network(policy())
     found = rehearse_policy(network, read_contract(network), g1stream.load_motion("demo"))
-    assert found.stands is stands
+    assert found.stands
     assert found.longer
-    assert found.stand_s == 0.5
-    assert [one.contract for one in found.near if not one.reason] == ["anchor torso_link"] * (
-        not stands
-    )
-    assert [stand for _, stand in tried] == [3.0, 0.5, 3.0, 3.0]
+    assert (found.longer.stood_s, found.stand_s) == (1.0, 0.5)
+    assert [stand for _, stand in tried] == [3.0, 0.5, 0.5]
 
 
 def test_a_contract_that_cannot_be_played_is_one_that_falls(policy, simulated, monkeypatch):
@@ -132,7 +137,7 @@ def test_the_verdict_is_the_exit_code_and_each_trial_has_a_line(policy, simulate
         text = capsys.readouterr()
         found = json.loads(text.out)["rehearsal"]
         assert bool(found["own"]["reason"]) is not stands
-        assert len(text.err.splitlines()) == (1 if stands else 2 + len(found["near"]))
+        assert len(text.err.splitlines()) == len(found["near"]) + (1 if stands else 2)
     assert main(["policy", str(policy()), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rehearsal"] is None
 

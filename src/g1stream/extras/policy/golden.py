@@ -7,7 +7,6 @@ file; then the action of the file's observation with the one in the file.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -110,7 +109,7 @@ def compare_golden(
 
     Args:
         path: NPZ file of N steps in order: joint_pos (N, joints) rad and joint_vel (N, joints)
-            rad/s in the policy's order, or in that of `joint_names` (joints,); of the pelvis
+            rad/s in the policy's order; of the pelvis
             root_pos_w (N, 3) m and root_quat_w (N, 4) wxyz in the world, root_lin_vel_b (N, 3) m/s
             and root_ang_vel_b (N, 3) rad/s in its own axes; obs (N, width) without noise, action
             (N, joints) as the network gave it. Optional: time_step (N,), the frame of the motion at
@@ -124,30 +123,21 @@ def compare_golden(
             policy tracks a motion and there is none.
         MotionError: as of `check_motion`.
     """
-    run = _read(path, contract, network)
-    obs, left_out = (
-        run["obs"],
-        max(contract.lag, *(one.history + one.behind for one in contract.terms)),
-    )
-    if len(obs) <= left_out:
+    run, reference = _read(path, contract, network), _reference(network, contract, motion)
+    left_out = max(contract.lag, *(one.history + one.behind for one in contract.terms))
+    if len(run["obs"]) <= left_out:
         raise ConfigError(
-            f"{path} has {len(obs)} steps, of which the first {left_out} cannot be compared.",
+            f"{path} has {len(run['obs'])} steps, of which {left_out} cannot be compared.",
             "Write more steps.",
         )
+    theirs = run["obs"][left_out:]
 
-    theirs = obs[left_out:]
+    def observed(contract: PolicyContract, *, aligned: bool) -> Floats:
+        return _observations(run, contract, reference, aligned=aligned)[left_out:]
 
-    def observed(contract: PolicyContract, aligned: bool, linear: bool) -> Floats:
-        frames, reference = None, references[linear]
-        if contract.reference != "none":
-            frames = [reference(contract, step) for step in run["time_step"].tolist()]
-        return _observations(run, contract, frames, aligned=aligned)[left_out:]
-
-    linear = {False, motion is not None}
-    references = {one: _reference(network, contract, motion, linear=one) for one in linear}
-    both = {how: observed(contract, *how) for how in product((False, True), linear)}
-    how = min(both, key=lambda one: float(np.mean(np.abs(both[one] - theirs))))
-    ours = both[how]
+    both = {aligned: observed(contract, aligned=aligned) for aligned in (False, True)}
+    aligned = min(both, key=lambda one: float(np.mean(np.abs(both[one] - theirs))))
+    ours = both[aligned]
     terms, start = {}, 0
     for term in contract.terms:
         at = slice(start, start := start + term.size)
@@ -156,7 +146,9 @@ def compare_golden(
             width = at.stop - at.start
             for about, changes in slight_changes(contract):
                 changed = contract.model_copy(update=changes)
-                if any(_alike(observed(changed, *one)[:, at], theirs[:, at]) for one in both):
+                if any(
+                    _alike(observed(changed, aligned=one)[:, at], theirs[:, at]) for one in both
+                ):
                     return f"that of {about}"
             for begin in range(theirs.shape[1] - width + 1):
                 if _alike(ours[:, at], theirs[:, begin : begin + width]) and ours[:, at].any():
@@ -166,68 +158,51 @@ def compare_golden(
         names = contract.joint_names if term.size == len(contract.joint_names) else []
         pair = ours[:, at], theirs[:, at]
         terms[term.name] = _difference(*pair, names, left_out, elsewhere)
-    acted = np.array([network.act(one, output=contract.action) for one in obs])
+    acted = np.array([network.act(one, output=contract.action) for one in run["obs"]])
     return GoldenRun(
         path=str(path),
-        steps=len(obs),
+        steps=len(run["obs"]),
         left_out=left_out,
-        aligned=how[0],
+        aligned=aligned,
         terms=terms,
         action=_difference(acted, run["action"], contract.joint_names, 0),
     )
 
 
 def _read(path: Path, contract: PolicyContract, network: Network) -> dict[str, NDArray[Any]]:
-    """The arrays of a file, with joints in the policy's order."""
+    """The arrays of a file."""
     try:
-        found = {
-            name.removesuffix(".npy"): read_npy(data)
-            for name, data in unzip(read_file(path, UNPACKED)).items()
-        }
+        files = unzip(read_file(path, UNPACKED))
+        found = {name.removesuffix(".npy"): read_npy(data) for name, data in files.items()}
     except ValueError as error:
-        raise ConfigError(
-            f"{path} cannot be read: {error}.", "Give a file of numpy.savez."
-        ) from error
+        raise ConfigError(f"{path} cannot be read: {error}.", "Give one of numpy.savez.") from error
     joints = len(contract.joint_names)
-    wanted = {**_STATE, "obs": network.width, "action": joints}
-    if lacking := [name for name in wanted if name not in found]:
-        raise ConfigError(
-            f"{path} lacks {listed(lacking)}.", f"Write {', '.join(wanted)}, a row for each step."
-        )
-    n_steps = len(np.atleast_1d(found["obs"]))
-    shapes: dict[str, tuple[int, ...]] = {"time_step": (n_steps,)}
-    shapes |= {name: (n_steps, joints if n < 0 else n) for name, n in wanted.items()}
-    run: dict[str, Any] = {"time_step": np.arange(n_steps)}
-    for name, shape in shapes.items():
-        values = found.get(name, run.get(name))
-        if isinstance(values, bytes) or values is None or values.shape != shape:
+    columns = {**_STATE, "obs": network.width, "action": joints}
+    if lacking := [name for name in columns if name not in found]:
+        raise ConfigError(f"{path} lacks {listed(lacking)}.", f"Write {', '.join(columns)}.")
+    n_steps, run = len(np.atleast_1d(found["obs"])), {}
+    found.setdefault("time_step", np.arange(n_steps))
+    shapes = {name: (n_steps, joints if n < 0 else n) for name, n in columns.items()}
+    for name, shape in (*shapes.items(), ("time_step", (n_steps,))):
+        values = found[name]
+        if isinstance(values, bytes) or values.dtype.kind not in "fiu" or values.shape != shape:
+            what = "objects" if isinstance(values, bytes) else f"{values.shape} {values.dtype}"
             raise ConfigError(
-                f"{name} in {path} has the shape {getattr(values, 'shape', 'of objects')}, not "
-                f"{shape}.",
-                "Write one environment, a row for each step.",
+                f"{name} in {path} has {what} instead of {shape} numbers.",
+                "Write the steps of one robot, a row for each.",
             )
-        if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-            raise ConfigError(
-                f"{name} in {path} has values that are no finite numbers.", "Correct it."
-            )
-        run[name] = values.astype(np.int64 if name == "time_step" else np.float64)
-    names = found.get("joint_names", np.array(contract.joint_names))
-    if isinstance(names, bytes) or sorted(map(str, names)) != sorted(contract.joint_names):
-        raise ConfigError(
-            f"joint_names in {path} are other joints than those of the policy.",
-            "Write the names of the columns of joint_pos.",
-        )
-    columns = [[*map(str, names)].index(name) for name in contract.joint_names]
-    return run | {name: run[name][:, columns] for name in ("joint_pos", "joint_vel")}
+        if not np.isfinite(values).all():
+            raise ConfigError(f"{name} in {path} has a number that is not finite.", "Correct it.")
+        run[name] = values.astype(np.float64)
+    return run
 
 
 def _reference(
-    network: Network, contract: PolicyContract, motion: Motion | None, *, linear: bool
+    network: Network, contract: PolicyContract, motion: Motion | None
 ) -> Callable[[PolicyContract, int], ReferenceFrame]:
     """The reference of a time step, with the anchor of a contract.
 
-    A motion is a spline, or, as whole_body_tracking has it, linear between its frames, with central
-    differences for the velocities.
+    As in whole_body_tracking, joints are linear between frames, with central differences.
     """
     if motion is None:
         if contract.reference == "a motion":
@@ -237,21 +212,18 @@ def _reference(
         return lambda contract, step: held_frame(contract, network, max(step, 0))
     check_motion(contract, network, motion)
     sampled = [one for _, one in motion.samples(contract.rate, 0, motion.n_frames)]
-    joint_pos, joint_vel, *root = (
+    pos, quat = (
         np.concatenate([getattr(one, name) for one in sampled])
-        for name in ("joint_pos", "joint_vel", "root_pos", "root_quat_wxyz")
+        for name in ("root_pos", "root_quat_wxyz")
     )
-    if linear:
-        at = np.arange(len(joint_pos)) * motion.fps / contract.rate
-        frames = np.arange(motion.n_frames)
-        joint_pos = np.transpose([np.interp(at, frames, one) for one in motion.joint_pos.T])
-        joint_vel = np.gradient(joint_pos, 1.0 / contract.rate, axis=0)
-    arrays = joint_pos, joint_vel, *root
+    at, frames = np.arange(len(pos)) * motion.fps / contract.rate, np.arange(motion.n_frames)
+    joint_pos = np.transpose([np.interp(at, frames, one) for one in motion.joint_pos.T])
+    joint_vel = np.gradient(joint_pos, 1.0 / contract.rate, axis=0)
 
     def frame(contract: PolicyContract, step: int) -> ReferenceFrame:
-        at = min(max(step, 0), len(joint_pos) - 1)
-        phase = at / (contract.rate * motion.duration)
-        return frame_of(contract, G1.default(), *(one[at] for one in arrays))._replace(phase=phase)
+        i = min(max(step, 0), len(pos) - 1)
+        found = frame_of(contract, G1.default(), joint_pos[i], joint_vel[i], pos[i], quat[i])
+        return found._replace(phase=i / (contract.rate * motion.duration))
 
     return frame
 
@@ -259,7 +231,7 @@ def _reference(
 def _observations(
     run: Mapping[str, NDArray[Any]],
     contract: PolicyContract,
-    frames: Sequence[ReferenceFrame] | None,
+    reference: Callable[[PolicyContract, int], ReferenceFrame],
     *,
     aligned: bool,
 ) -> Floats:
@@ -275,7 +247,9 @@ def _observations(
             lin_vel=run["root_lin_vel_b"][step],
             anchor=anchor_poses(contract, robot, joint_pos[None], pos, state.quat_wxyz)[0],
         )
-        frame = frames[step] if frames else None
+        frame = None
+        if contract.reference != "none":
+            frame = reference(contract, int(run["time_step"][step]))
         if frame and aligned and not step:
             observer.begin(state, frame)
         found.append(observer.observe(state, frame))

@@ -32,7 +32,7 @@ class Policy(Command):
     --golden compares a run of the training side, term by term: a file of numpy.savez with a row for
     each step in joint_pos, joint_vel (N, joints), root_pos_w (N, 3), root_quat_w (N, 4) wxyz,
     root_lin_vel_b, root_ang_vel_b (N, 3), obs (N, width) and action (N, joints). It may have
-    time_step (N,), the frame of the motion, and joint_names.
+    time_step (N,), the frame of the motion.
 
     --replay feeds the recorded observations to the policy and checks that it gives the recorded
     actions, bit for bit. It also compares observations recomputed from LowState and Reference with
@@ -136,6 +136,7 @@ class Policy(Command):
             found = rehearse_policy(network, contract, motion, said)
             if not self.json:
                 print_lines(str(found))
+            print_warning(*found.doubts)
         if self.json:
             rehearsal = found.model_dump(mode="json") if found else None
             print_json(contract.model_dump(mode="json") | {"rehearsal": rehearsal})

@@ -130,6 +130,7 @@ ISAAC += [19, 26, 20, 27, 21, 28]
         ("joint_vel_rel", lambda x: x[:, ISAAC], "in Isaac's order"),
         ("joint_pos_rel", lambda x: 2.0 * x[:, ISAAC], "ours x 2, in Isaac's order"),
         ("joint_pos_rel", lambda x: x + 0.1, "ours plus a constant, 0.1"),
+        ("base_ang_vel", lambda x: 0.0 * x, "zeros"),
         ("motion_command", lambda x: np.roll(x, 29, axis=1), "in another order"),
     ],
 )
@@ -184,6 +185,7 @@ def test_a_run_in_another_world_is_aligned(compared, golden):
         ({"joint_pos": np.zeros((N, 23))}, "joint_pos"),
         ({"action": np.full((N, 29), np.nan)}, "action"),
         ({"root_quat_w": np.array([{}] * N)}, "root_quat_w"),
+        ({"root_quat_w": np.zeros((N, 4))}, "root_quat_w"),
     ],
 )
 def test_a_run_that_cannot_be_compared_is_refused(compared, changes, named):

@@ -24,8 +24,8 @@ from g1stream.files import read_file
 from g1stream.input_limits import UNPACKED
 from g1stream.motion.motion import Motion
 from g1stream.motion.npz import read_npy, unzip
-from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
+from g1stream.robot.rotations import is_unit
 from g1stream.session.records import Record
 from g1stream.text import labelled, listed, table
 from g1stream.types import Floats
@@ -109,11 +109,10 @@ def compare_golden(
 
     Args:
         path: NPZ file of N steps in order: joint_pos (N, joints) rad and joint_vel (N, joints)
-            rad/s in the policy's order; of the pelvis
-            root_pos_w (N, 3) m and root_quat_w (N, 4) wxyz in the world, root_lin_vel_b (N, 3) m/s
-            and root_ang_vel_b (N, 3) rad/s in its own axes; obs (N, width) without noise, action
-            (N, joints) as the network gave it. Optional: time_step (N,), the frame of the motion at
-            the policy's rate; 0 to N - 1 without it.
+            rad/s in the policy's order; of the pelvis root_pos_w (N, 3) m and root_quat_w (N, 4)
+            wxyz in the world, root_lin_vel_b (N, 3) m/s and root_ang_vel_b (N, 3) rad/s in its own
+            axes; obs (N, width) without noise, action (N, joints) as the network gave it. Optional:
+            time_step (N,), the frame of the motion at the policy's rate; 0 to N - 1 without it.
         network: the network.
         contract: its contract.
         motion: the tracked motion; None for the motion in the policy.
@@ -146,9 +145,7 @@ def compare_golden(
             width = at.stop - at.start
             for about, changes in slight_changes(contract):
                 changed = contract.model_copy(update=changes)
-                if any(
-                    _alike(observed(changed, aligned=one)[:, at], theirs[:, at]) for one in both
-                ):
+                if any(_alike(observed(changed, aligned=x)[:, at], theirs[:, at]) for x in both):
                     return f"that of {about}"
             for begin in range(theirs.shape[1] - width + 1):
                 if _alike(ours[:, at], theirs[:, begin : begin + width]) and ours[:, at].any():
@@ -159,6 +156,11 @@ def compare_golden(
         pair = ours[:, at], theirs[:, at]
         terms[term.name] = _difference(*pair, names, left_out, elsewhere)
     acted = np.array([network.act(one, output=contract.action) for one in run["obs"]])
+    if not np.isfinite(acted).all():
+        raise ConfigError(
+            f"{network.path} gives actions that are not finite for obs in {path}.",
+            "Write the observations of this policy.",
+        )
     return GoldenRun(
         path=str(path),
         steps=len(run["obs"]),
@@ -194,6 +196,8 @@ def _read(path: Path, contract: PolicyContract, network: Network) -> dict[str, N
         if not np.isfinite(values).all():
             raise ConfigError(f"{name} in {path} has a number that is not finite.", "Correct it.")
         run[name] = values.astype(np.float64)
+    if not is_unit(run["root_quat_w"]).all():
+        raise ConfigError(f"root_quat_w in {path} has another norm than 1.", "Correct it.")
     return run
 
 
@@ -237,10 +241,9 @@ def _observations(
 ) -> Floats:
     """Observations (N, width) of the states in the file."""
     observer, robot, found = Observer(contract), G1.default(), []
-    pose, still = np.array(contract.held_pos or np.zeros(N_JOINTS)), np.zeros(N_JOINTS)
     for step in range(len(run["obs"])):
-        joint_pos = contract.in_motor_order(run["joint_pos"][step], pose.tolist())
-        joint_vel = contract.in_motor_order(run["joint_vel"][step], still.tolist())
+        joint_pos = contract.in_motor_order(run["joint_pos"][step], contract.held_pos)
+        joint_vel = contract.in_motor_order(run["joint_vel"][step])
         pos, quat = run["root_pos_w"][step], run["root_quat_w"][step]
         state = state_of(contract, robot, joint_pos, joint_vel, quat, run["root_ang_vel_b"][step])
         state = state._replace(
@@ -281,39 +284,35 @@ def _difference(
 
 def _relation(ours: Floats, theirs: Floats, names: Sequence[str]) -> str:
     """How `theirs` follows from `ours`: by factors, a constant or an order; "" if it does not."""
+    if not theirs.any():
+        return "zeros"
     offset = np.mean(theirs - ours, axis=0)
     if len(ours) > 2 and _alike(ours + offset, theirs) and np.ptp(ours, axis=0).any():
         at = int(np.abs(offset).argmax())
         return f"ours plus a constant, {offset[at]:.4g} in value {at}{_of(names, at)}"
+    power = np.maximum((ours**2).sum(axis=0), np.finfo(float).tiny)
     moved = np.abs(theirs).max(axis=0) > _SMALL * np.abs(theirs).max()
     order, factors = [], []
-    for column, moves in enumerate(moved):
-        # The own column first, then the others.
-        for at in sorted(range(ours.shape[1]), key=lambda one: one != column):
-            power = float(ours[:, at] @ ours[:, at])
-            factor = float(ours[:, at] @ theirs[:, column]) / power if power else 0.0
-            near = np.abs(factor * ours[:, at] - theirs[:, column]) <= _tolerance(theirs)
-            if near.all() and (factor or not moves):
-                break
-        else:
+    for at, column in enumerate(theirs.T):
+        fitted = column @ ours / power  # a factor for each of our columns
+        fits = (np.abs(ours * fitted - column[:, None]) <= _tolerance(theirs)).all(axis=0)
+        if not fits.any():
             return ""
-        order.append(at)
-        factors.append(factor)
+        order.append(at if fits[at] or not moved[at] else int(fits.argmax()))
+        factors.append(fitted[order[-1]])
     told, common = [], float(np.median(np.array(factors)[moved]))
-    apart = moved & (np.abs(np.array(factors) / common - 1.0) > _SMALL)
-    uneven = np.flatnonzero(apart).tolist()
-    if uneven:
-        pairs = [f"{factors[one]:.4g} in value {one}{_of(names, one)}" for one in uneven]
+    apart = np.flatnonzero(moved & (np.abs(np.array(factors) / common - 1.0) > _SMALL)).tolist()
+    if apart:
+        pairs = [f"{factors[one]:.4g} in value {one}{_of(names, one)}" for one in apart]
         told.append(f"ours x {listed(pairs, 3)}")
     elif abs(common - 1.0) > _ALIKE:
         told.append(f"ours x {common:.4g}")
-    wrong = [one for one in range(len(order)) if moved[one] and order[one] != one]
-    if wrong:
-        there = [names[at] for at in order] if names else []
+    if wrong := [one for one in np.flatnonzero(moved) if order[one] != one]:
+        there = [names[at] for at in order if names]
         known = [one for one, of in ORDERS.items() if there == [x for x in of if x in there]]
         pairs = [f"value {one} is our {order[one]}{_of(names, order[one])}" for one in wrong]
         told.append(
-            f"in {known[0]}" if there and known else f"in another order: {listed(pairs, 3)}"
+            f"in {known[0]}" if names and known else f"in another order: {listed(pairs, 3)}"
         )
     return ", ".join(told)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final, get_args
 
 from g1stream._version import __version__
-from g1stream.analysis.summary import Summary
 from g1stream.app.session import Session
 from g1stream.app.sim import make_world
 from g1stream.config import Config, SafetyConfig, load_config
@@ -32,7 +31,7 @@ from g1stream.sim.robot import SimulatedRobot
 from g1stream.types import FeedForwardKind, StreamSupport, Support
 from g1stream.view.pipeline import MessagePipeline
 
-__all__ = ["LATENCY", "rehearse", "rollout"]
+__all__ = ["LATENCY", "rollout"]
 
 LATENCY: Final = 100_000
 """Log time minus publish time of every message, ns: about the latency of DDS on loopback."""
@@ -143,39 +142,6 @@ def rollout(
         }
     )
     return Session(source)
-
-
-def rehearse(motion: Motion, config: Config, stand: float = 0.5) -> Summary:
-    """Play the first `stream.rehearse` seconds of a motion, without events; otherwise as `rollout`.
-
-    The robot stands for `stand` seconds before and after the motion.
-    """
-    settings = config.stream
-    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
-    brief = settings.model_copy(update={"stand": stand, "ramp": 1.0, "hold": 0.0})
-    with _unlogged():
-        session = rollout(
-            motion, config=config.model_copy(update={"stream": brief}), seconds=seconds
-        )
-    return session.summary()
-
-
-@contextmanager
-def _unlogged() -> Iterator[None]:
-    """Keep events of this thread, and of no other, from the handlers that exist."""
-    thread, logger, root = threading.get_ident(), logging.getLogger("g1stream"), logging.getLogger()
-
-    def of_others(record: logging.LogRecord) -> bool:
-        return record.thread != thread or not record.name.startswith(logger.name)
-
-    handlers = [*logger.handlers, *root.handlers]
-    for one in handlers:
-        one.addFilter(of_others)
-    try:
-        yield
-    finally:
-        for one in handlers:
-            one.removeFilter(of_others)
 
 
 def _resolve(

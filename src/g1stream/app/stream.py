@@ -25,6 +25,7 @@ from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import check_output_path
 from g1stream.network import is_local_only
+from g1stream.optional import load_object
 from g1stream.realtime import describe, on_time
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
@@ -46,6 +47,8 @@ _LOGGER = logging.getLogger(__name__)
 
 #: Time to listen on DDS for a diagnosis if no robot answered, s.
 _LISTEN: Final = 0.2
+#: Refuses a policy with which the robot falls in the simulator.
+_REHEARSAL: Final = "g1stream.extras.policy.rehearsal:require_standing"
 
 
 def stream(
@@ -102,7 +105,7 @@ def stream(
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
         if config.stream.policy and config.stream.rehearse:
-            _rehearse(motion, config)
+            load_object(_REHEARSAL)(motion, config)
         confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
@@ -234,24 +237,6 @@ class _RecorderChild:
         if not (summary.removed or Path(summary.path).exists()):
             summary.stopped = summary.stopped or f"{summary.path} no longer exists."
         return summary
-
-
-def _rehearse(motion: Motion, config: Config) -> None:
-    """Refuse a policy that fails in the simulator within the first seconds of the motion."""
-    from g1stream.app.rollout import rehearse  # slow to import
-
-    settings = config.stream
-    _LOGGER.info("rehearsal: %g s in the simulator", settings.rehearse)
-    reason = rehearse(motion, config).termination.reason
-    if reason and settings.beyond_limits != "anyway":
-        raise SafetyError(
-            f"The policy does not play {settings.rehearse:g} s of the motion in the simulator: "
-            f"{reason}.",
-            "Check its inputs with `g1stream policy POLICY --motion MOTION`, or give --anyway to "
-            "stream it nevertheless.",
-        )
-    if reason:
-        _LOGGER.warning("rehearsal: %s", reason)
 
 
 def _newest(participant: Participant, topic: Topic) -> Callable[[], bytes | None]:

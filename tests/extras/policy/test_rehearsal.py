@@ -1,10 +1,15 @@
 import json
+import logging
+import threading
 
 import pytest
 
 import g1stream
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.cli.main import main
+from g1stream.config import Config
+from g1stream.errors import SafetyError
+from g1stream.events import handled_by
 from g1stream.extras.policy import rehearsal
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
@@ -61,7 +66,7 @@ def simulated(monkeypatch):
             ended = Termination(reason=reason, played_s=1.0 if reason else 7.0, motion_s=7.0)
             return Summary(termination=ended)
 
-        monkeypatch.setattr(rehearsal, "rehearse", rehearse)
+        monkeypatch.setattr(rehearsal, "_rehearse", rehearse)
         return tried
 
     return simulate
@@ -140,6 +145,31 @@ def test_the_verdict_is_the_exit_code_and_each_trial_has_a_line(policy, simulate
         assert len(text.err.splitlines()) == len(found["near"]) + (1 if stands else 2)
     assert main(["policy", str(policy()), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rehearsal"] is None
+
+
+def test_a_rehearsal_is_silent_and_other_threads_are_not(monkeypatch):
+    """The level of the logger stays, as other threads log at it meanwhile."""
+    own, other = logging.getLogger("g1stream.rehearsed"), logging.getLogger("g1stream.other")
+    motion, kept, seen, told = g1stream.load_motion("demo"), logging.Handler(), [], []
+    kept.emit = lambda record: told.append(record.getMessage())
+
+    def rollout(given, *, config, seconds):
+        own.warning("of the rehearsal")
+        own.critical("of the rehearsal")
+        thread = threading.Thread(target=other.info, args=("meanwhile",))
+        thread.start()
+        thread.join()
+        seen.append(given)
+        raise SafetyError("It fails.", "")
+
+    monkeypatch.setattr("g1stream.extras.policy.rehearsal.rollout", rollout)
+    with handled_by(kept):
+        with pytest.raises(SafetyError):
+            rehearsal.require_standing(motion, Config(stream={"rehearse": 1.0}))
+        own.info("afterwards")
+    assert told[-2:] == ["meanwhile", "afterwards"]
+    assert not [one for one in told if one == "of the rehearsal"]
+    assert seen == [motion]
 
 
 @needs_policies

@@ -6,16 +6,20 @@ of the right one: where the motion is tracked perfectly, joints, velocities and 
 
 from __future__ import annotations
 
+import logging
 import shutil
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from g1stream.app.rollout import rehearse
+from g1stream.analysis.summary import Summary
+from g1stream.app.rollout import rollout
 from g1stream.config import Config, StreamConfig
-from g1stream.errors import G1StreamError
+from g1stream.errors import G1StreamError, SafetyError
 from g1stream.extras.policy.contract import PolicyContract, Term
 from g1stream.extras.policy.families import beside
 from g1stream.extras.policy.network import Network
@@ -24,7 +28,9 @@ from g1stream.motion.motion import Motion
 from g1stream.session.records import Record
 from g1stream.text import labelled, table
 
-__all__ = ["Rehearsal", "Trial", "rehearse_policy", "slight_changes"]
+__all__ = ["Rehearsal", "Trial", "rehearse_policy", "require_standing", "slight_changes"]
+
+_LOGGER = logging.getLogger(__name__)
 
 #: Shortest time to stand, s.
 _BRIEFLY: Final = 0.5
@@ -147,7 +153,7 @@ def rehearse_policy(
         def tried(about: str, changed: PolicyContract, stand: float) -> tuple[Trial, float]:
             beside(copy).write_text(changed.toml(), encoding="utf-8")
             config = Config(stream=StreamConfig(policy=str(copy)))
-            summary = rehearse(motion, config, stand)
+            summary = _rehearse(motion, config, stand)
             ended, followed = summary.termination, summary.tracking
             trial = Trial(
                 contract=about,
@@ -175,6 +181,56 @@ def rehearse_policy(
         longer=longer,
         near=sorted(near, key=lambda one: (bool(one.reason), -one.stood_s, one.rmse_rad or 0.0)),
     )
+
+
+def require_standing(motion: Motion, config: Config) -> None:
+    """Refuse a policy that fails in the simulator within the first `stream.rehearse` seconds.
+
+    Raises:
+        SafetyError: the robot falls, and `stream.beyond_limits` is not "anyway".
+    """
+    settings = config.stream
+    _LOGGER.info("rehearsal: %g s in the simulator", settings.rehearse)
+    reason = _rehearse(motion, config, _BRIEFLY).termination.reason
+    if reason and settings.beyond_limits != "anyway":
+        raise SafetyError(
+            f"The policy does not play {settings.rehearse:g} s of the motion in the simulator: "
+            f"{reason}.",
+            "Check its inputs with `g1stream policy POLICY --motion MOTION`, or give --anyway to "
+            "stream it nevertheless.",
+        )
+    if reason:
+        _LOGGER.warning("rehearsal: %s", reason)
+
+
+def _rehearse(motion: Motion, config: Config, stand: float) -> Summary:
+    """Play the first `stream.rehearse` seconds of a motion in lockstep, without events."""
+    settings = config.stream
+    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
+    brief = settings.model_copy(update={"stand": stand, "ramp": 1.0, "hold": 0.0})
+    with _unlogged():
+        session = rollout(
+            motion, config=config.model_copy(update={"stream": brief}), seconds=seconds
+        )
+    return session.summary()
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep events of this thread, and of no other, from the handlers that exist."""
+    thread, logger, root = threading.get_ident(), logging.getLogger("g1stream"), logging.getLogger()
+
+    def of_others(record: logging.LogRecord) -> bool:
+        return record.thread != thread or not record.name.startswith(logger.name)
+
+    handlers = [*logger.handlers, *root.handlers]
+    for one in handlers:
+        one.addFilter(of_others)
+    try:
+        yield
+    finally:
+        for one in handlers:
+            one.removeFilter(of_others)
 
 
 def _changes(contract: PolicyContract) -> Iterator[tuple[str, Changes]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -16,6 +17,12 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from g1stream.extras.policy.contract import PolicyContract
+    from g1stream.extras.policy.network import Network
+    from g1stream.extras.policy.rehearsal import Rehearsal
+    from g1stream.motion.motion import Motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +110,7 @@ class Policy(Command):
 
     def _show(self, file: str) -> int:
         from g1stream.extras.policy.contract import read_contract
-        from g1stream.extras.policy.golden import compare_golden
         from g1stream.extras.policy.network import Network
-        from g1stream.extras.policy.rehearsal import Trial, rehearse_policy
         from g1stream.motion.readers import load_motion
 
         network = Network(file)
@@ -116,28 +121,37 @@ class Policy(Command):
         print_warning(*contract.doubts)
         if not self.json:
             print_lines(str(contract))
-        found, motion = None, None
+        motion = None
         if self.motion:
             motion = load_motion(network.path if self.motion == file else self.motion)
             print_warning(*motion.warnings)
         if self.golden:
-            golden = compare_golden(Path(self.golden), network, contract, motion)
-            if self.json:
-                print_json(golden.model_dump(mode="json") | {"same": golden.same})
-            else:
-                print_lines(str(golden))
-            return EXIT_OK if golden.same else EXIT_STOPPED
-        if motion:
-
-            def said(trial: Trial) -> None:
-                ended = f"falls after {trial.stood_s:.2f} s" if trial.reason else "stands"
-                print_note(f"{trial.contract or 'rehearsal'}: {ended}")
-
-            found = rehearse_policy(network, contract, motion, said)
-            if not self.json:
-                print_lines(str(found))
-            print_warning(*found.doubts)
+            return self._compare(network, contract, motion)
+        found = self._rehearse(network, contract, motion) if motion else None
         if self.json:
             rehearsal = found.model_dump(mode="json") if found else None
             print_json(contract.model_dump(mode="json") | {"rehearsal": rehearsal})
         return EXIT_STOPPED if found and not found.stands else EXIT_OK
+
+    def _compare(self, network: Network, contract: PolicyContract, motion: Motion | None) -> int:
+        from g1stream.extras.policy.golden import compare_golden
+
+        found = compare_golden(Path(self.golden or ""), network, contract, motion)
+        if self.json:
+            print_json(found.model_dump(mode="json") | {"same": found.same})
+        else:
+            print_lines(str(found))
+        return EXIT_OK if found.same else EXIT_STOPPED
+
+    def _rehearse(self, network: Network, contract: PolicyContract, motion: Motion) -> Rehearsal:
+        from g1stream.extras.policy.rehearsal import Trial, rehearse_policy
+
+        def said(trial: Trial) -> None:
+            ended = f"falls after {trial.stood_s:.2f} s" if trial.reason else "stands"
+            print_note(f"{trial.contract or 'rehearsal'}: {ended}")
+
+        found = rehearse_policy(network, contract, motion, said)
+        if not self.json:
+            print_lines(str(found))
+        print_warning(*found.doubts)
+        return found

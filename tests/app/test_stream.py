@@ -1,5 +1,4 @@
 import logging
-import threading
 from pathlib import Path
 
 import pytest
@@ -11,10 +10,9 @@ from g1stream.config import Config, DdsConfig
 from g1stream.control.sources import HeldTorques
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LOWCMD, SECONDARY_IMU, SecondaryImu
-from g1stream.errors import MotionError, RecordingError, SafetyError
+from g1stream.dds.messages import LOWCMD, ODOMMODESTATE, SECONDARY_IMU, SecondaryImu, SportModeState
+from g1stream.errors import MotionError, RecordingError
 from g1stream.events import handled_by
-from g1stream.motion.readers import load_motion
 from g1stream.types import Phase
 
 
@@ -38,6 +36,19 @@ def test_where_nobody_is_it_says_where_to_look(claim_domain, config, monkeypatch
     assert summary.tracking is None
     remedies = [one.remedy for one in summary.stream.findings if one.about == "domain"]
     assert f"Use --domain {there}." in remedies
+
+
+def test_a_source_hears_the_newest_sample_of_a_topic(domain_id, until):
+    sent = SportModeState()
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as robot:
+        newest, writer = program._newest(ours, ODOMMODESTATE), RawWriter(robot, ODOMMODESTATE)
+        until(writer.subscribers, "matched")
+        for place in (1.0, 2.0):
+            sent.position[:] = place
+            writer.write(sent.tobytes(), 1)
+        heard = []
+        until(lambda: heard.append(newest()) or heard[-1] == sent.tobytes(), "received")
+        assert newest() is None
 
 
 def test_a_motion_that_is_refused_leaves_no_process(domain_id, config, tmp_path):
@@ -168,28 +179,3 @@ def test_a_recording_that_cannot_be_read_leaves_the_counters(bridge, config, tmp
         summary = stream("demo", config, record=tmp_path / "s.mcap")
     assert summary.termination.reason == ""
     assert summary.tracking.compared_states > 100
-
-
-def test_a_rehearsal_is_silent_and_other_threads_are_not(monkeypatch):
-    """The level of the logger stays, as other threads log at it meanwhile."""
-    own, other = logging.getLogger("g1stream.rehearsed"), logging.getLogger("g1stream.other")
-    motion, kept, seen = load_motion("demo"), Kept(), []
-
-    def rollout(given, *, config, seconds):
-        own.warning("of the rehearsal")
-        own.critical("of the rehearsal")
-        thread = threading.Thread(target=other.info, args=("meanwhile",))
-        thread.start()
-        thread.join()
-        seen.append(given)
-        raise SafetyError("It fails.", "")
-
-    monkeypatch.setattr("g1stream.app.rollout.rollout", rollout)
-    with handled_by(kept):
-        with pytest.raises(SafetyError):
-            program._rehearse(motion, Config.model_validate({"stream": {"rehearse": 1.0}}))
-        own.info("afterwards")
-    told = [record.getMessage() for record in kept.records]
-    assert told[-2:] == ["meanwhile", "afterwards"]
-    assert not [one for one in told if one == "of the rehearsal"]
-    assert seen == [motion]

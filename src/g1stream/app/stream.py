@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import threading
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Final
@@ -19,22 +19,25 @@ from g1stream.control.link import DdsLink
 from g1stream.control.stop import Stop
 from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
+from g1stream.dds.endpoints import RawReader
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import check_output_path
 from g1stream.network import is_local_only
+from g1stream.optional import load_object
 from g1stream.realtime import describe, on_time
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
     from g1stream.control.loop import StreamLoop
     from g1stream.control.plan import Plan
     from g1stream.control.report import LoopReport
+    from g1stream.dds.messages import Topic
     from g1stream.doctor.facts import Finding
     from g1stream.motion.motion import Motion
 
@@ -44,8 +47,8 @@ _LOGGER = logging.getLogger(__name__)
 
 #: Time to listen on DDS for a diagnosis if no robot answered, s.
 _LISTEN: Final = 0.2
-#: Time to stand before and after the motion in a rehearsal, s.
-_REHEARSED_STANDING: Final = 0.5
+#: Refuses a policy with which the robot falls in the simulator.
+_REHEARSAL: Final = "g1stream.extras.policy.rehearsal:require_standing"
 
 
 def stream(
@@ -102,7 +105,7 @@ def stream(
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
         if config.stream.policy and config.stream.rehearse:
-            _rehearse(motion, config)
+            load_object(_REHEARSAL)(motion, config)
         confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
@@ -110,6 +113,7 @@ def stream(
             _refuse_if_commanded(participant, planned)
         steps = planned.source.traits.about is not None
         link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, steps=steps)
+        planned.source.listen(partial(_newest, participant))
         events = dds_log_handler(participant, "stream")
         loop = make_loop(planned, link, clock)
         if on_loop:
@@ -235,42 +239,10 @@ class _RecorderChild:
         return summary
 
 
-def _rehearse(motion: Motion, config: Config) -> None:
-    """Refuse a policy that fails in the simulator within the first seconds of the motion."""
-    from g1stream.app.rollout import rollout  # slow to import
-
-    settings = config.stream
-    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
-    _LOGGER.info("rehearsal: %g s in the simulator", seconds)
-    standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
-    asked = config.model_copy(update={"stream": standing})
-    with _unlogged():  # its events are not the stream's
-        reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
-    if reason and settings.beyond_limits != "anyway":
-        raise SafetyError(
-            f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
-            "Check its inputs with `g1stream policy`, or give --anyway to stream it nevertheless.",
-        )
-    if reason:
-        _LOGGER.warning("rehearsal: %s", reason)
-
-
-@contextmanager
-def _unlogged() -> Iterator[None]:
-    """Keep events of this thread, and of no other, from the handlers that exist."""
-    thread, logger, root = threading.get_ident(), logging.getLogger("g1stream"), logging.getLogger()
-
-    def of_others(record: logging.LogRecord) -> bool:
-        return record.thread != thread or not record.name.startswith(logger.name)
-
-    handlers = [*logger.handlers, *root.handlers]
-    for one in handlers:
-        one.addFilter(of_others)
-    try:
-        yield
-    finally:
-        for one in handlers:
-            one.removeFilter(of_others)
+def _newest(participant: Participant, topic: Topic) -> Callable[[], bytes | None]:
+    """Subscribe to a topic; the result returns its newest sample since the last call."""
+    reader = RawReader(participant, topic)
+    return lambda: sample.data if (sample := reader.take_latest()) else None
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:

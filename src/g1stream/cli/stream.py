@@ -161,8 +161,8 @@ class Stream(LiveCommand, MotionFlags):
     )
     anyway: bool = flag(
         False,
-        "Play a motion that exceeds joint limits at its own speeds, or a policy whose first "
-        "actions are far from the motion (loopback interface only).",
+        "Play a motion that exceeds joint limits at its own speeds, or a policy that falls in its "
+        "rehearsal (loopback interface only).",
         advanced=True,
     )
     json: bool = flag(False, "Print the summary as JSON on standard output.")

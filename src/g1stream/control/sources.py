@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from g1stream.control.gains import Gains
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Setpoint, WayDown
+    from g1stream.dds.messages import Topic
     from g1stream.motion.motion import Motion
     from g1stream.session.records import PolicyInfo
 
@@ -154,6 +155,12 @@ class Source:
             MotionError: the motion cannot be played.
         """
         return motion, ""
+
+    def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
+        """Subscribe to more than LowState, over DDS only.
+
+        `subscribe` returns a function that gives the newest sample since its last call, or None.
+        """
 
     def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         """Choose how commands are made when RAMP begins, and log the choice.

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
-from g1stream.extras.policy.first_actions import first_actions, held_frame
+from g1stream.extras.policy.held_motion import check_motion, held_frame
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import ReferenceFrame, RobotState
 from g1stream.extras.policy.observer import Observer, anchor_poses
@@ -154,38 +154,15 @@ def in_isaac_order(contract):
     return contract.model_copy(update={"joint_names": network.metadata["joint_names"].split(",")})
 
 
-def test_a_policy_and_its_motion_pass_and_what_is_wrong_does_not(tmp_path, dance):
-    network, contract = contract_of("unitree_dance1_subject2", tmp_path)
-    right = first_actions(contract, network, G1.default(), dance)
-    assert right
-    assert right.problem == ""
-    terms = [one.name for one in contract.terms]
-    q, dq = terms.index("joint_pos_rel"), terms.index("joint_vel_rel")
-    swapped = list(contract.terms)
-    swapped[q], swapped[dq] = swapped[dq], swapped[q]
-    for changed in (
-        in_isaac_order(contract),
-        contract.model_copy(update={"terms": swapped}),
-        contract.model_copy(update=dict.fromkeys(("default_pos", "action_offset"), [0.0] * 29)),
-    ):
-        wrong = first_actions(changed, network, G1.default(), dance)
-        assert wrong
-        assert wrong.problem
-
-
 def test_another_motion_than_that_in_the_policy_is_refused(tmp_path, dance):
     network, contract = contract_of("holosoma_dance1_subject2.onnx", tmp_path)
-    for motion in (None, dance):
-        right = first_actions(contract, network, G1.default(), motion)
-        assert right
-        assert right.problem == ""
+    check_motion(contract, network, dance)
     for one, motion in ((contract, load_motion("demo")), (in_isaac_order(contract), dance)):
         with pytest.raises(ConfigError, match="another motion"):
-            first_actions(one, network, G1.default(), motion)
+            check_motion(one, network, motion)
 
 
 def test_a_policy_that_tracks_no_motion_is_refused_for_one(tmp_path):
     network, contract = contract_of("unitree_velocity", tmp_path)
-    assert first_actions(contract, network, G1.default()) is None
     with pytest.raises(ConfigError, match="tracks no motion"):
-        first_actions(contract, network, G1.default(), load_motion("demo"))
+        check_motion(contract, network, load_motion("demo"))

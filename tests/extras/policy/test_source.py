@@ -8,11 +8,12 @@ from g1stream.control.combinations import require_combination
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment
 from g1stream.control.targets import Setpoint
+from g1stream.dds.messages import SportModeState
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.odometry import LegOdometry
+from g1stream.extras.policy.odometry import Odometry
 from g1stream.extras.policy.source import BackToStanding, PolicyTargets
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -185,6 +186,29 @@ def test_a_robot_falls_by_its_tilt_against_the_reference(driven, tilt, falls):
     assert bool(driven.source.status.fall) == falls
 
 
+@pytest.mark.parametrize(
+    ("stand", "time", "told"),
+    [
+        (3.0, 2.8, (True, True)),
+        (3.0, 4.3, (True, True)),  # 0.3 s after the motion has begun
+        (3.0, 5.0, (False, False)),
+        (3.0, 7.5, (True, True)),  # after it
+        (3.0, 0.3, (True, False)),  # so early that it would not stand for a shorter time either
+        (0.5, 0.4, (True, False)),
+        (0.5, 2.5, (False, False)),
+    ],
+)
+def test_a_fall_while_the_robot_stands_says_so_and_to_stand_shorter(policy, stand, time, told):
+    """The motion begins a second after the standing and takes 2 s."""
+    source = PolicyTargets(settings(policy(), stand=stand), ROBOT)
+    trajectory = Trajectory(source.prepare(moving(2.0))[0])
+    it = Driven(source, Setpoint.from_point(time, trajectory.sample(time)))
+    it.quat = quat_mul(it.quat, quat_from_rpy(np.array([0.0, 0.7, 0.0])))
+    it.command()
+    fall = source.status.fall
+    assert ("stands" in fall, "--stand" in fall) == told
+
+
 def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     path = policy()
     source = PolicyTargets(settings(path, stand=2.0), ROBOT)
@@ -317,7 +341,7 @@ def test_ramp_waits_for_the_feet_where_the_bridge_does_not_lower_the_robot(polic
 
 def test_leg_odometry_of_a_robot_that_shifts_over_its_feet():
     """The soles stand; the pelvis moves by the joints that the standing soles ask for."""
-    odometry = LegOdometry(ROBOT)
+    odometry = Odometry(ROBOT)
     corners = Soles(ROBOT)
     height = 0.0
     for i in range(51):
@@ -328,6 +352,53 @@ def test_leg_odometry_of_a_robot_that_shifts_over_its_feet():
     assert odometry.pos[2] == pytest.approx(height, abs=1e-6)
     assert odometry.vel[2] == pytest.approx((height - before) / 0.02, abs=1e-6)
     assert np.abs(odometry.pos[:2]).max() < 0.01
+
+
+def published(position, velocity, yaw=0.0):
+    message = SportModeState()
+    message.position[:], message.velocity[:] = position, velocity
+    message.quaternion[:] = quat_from_rpy(np.array([0.0, 0.0, yaw]))
+    return message.tobytes()
+
+
+def test_place_and_velocity_of_the_robot_come_before_leg_odometry():
+    """The robot stands still on its legs, but says that it slides, in a world with its own yaw."""
+    odometry, quat = Odometry(ROBOT), quat_from_rpy(np.array([0.0, 0.0, 0.5]))
+    said = [
+        published([7.0 + 0.1 * i, 3.0, 9.0], [5.0, 0.0, 0.0], yaw=0.5 - np.pi / 2)
+        for i in (0, 1, 2)
+    ]
+    odometry.newest = iter([*said[:2], None, said[2], None]).__next__
+    found = []
+    for _ in range(5):
+        odometry.update(bent(), quat, 0.02)
+        found.append((odometry.pos.copy(), odometry.vel.copy()))
+    # Its x axis is the y axis of the IMU's world. A gap has the legs' movement: none.
+    height = found[0][0][2]
+    assert [pos for pos, _ in found] == [
+        pytest.approx([0.0, y, height], abs=1e-6) for y in (0.0, 0.1, 0.1, 0.1, 0.1)
+    ]
+    speeds = [5.0, 5.0, 0.0, 5.0, 0.0]
+    assert [vel for _, vel in found] == [pytest.approx([0.0, v, 0.0], abs=1e-6) for v in speeds]
+    assert 0.6 < height < 0.8
+
+
+def test_a_policy_subscribes_to_the_place_only_if_it_observes_it(policy, target):
+    asked = []
+
+    def subscribe(topic):
+        asked.append(topic.name)
+        return lambda: published([0.0, 0.0, 0.8], [0.3, 0.0, 0.0])
+
+    PolicyTargets(settings(policy()), ROBOT).listen(subscribe)
+    assert asked == []
+    names = "command,motion_anchor_ori_b,base_ang_vel,joint_pos,joint_vel,actions,base_lin_vel"
+    source = PolicyTargets(settings(policy({"observation_names": names}, width=157)), ROBOT)
+    source.listen(subscribe)
+    assert asked == ["rt/odommodestate"]
+    it = Driven(source, target)
+    it.command()
+    assert source._newest.observation[154:157] == pytest.approx([0.3, 0.0, 0.0], abs=1e-6)
 
 
 @needs_policies

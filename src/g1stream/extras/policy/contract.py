@@ -21,6 +21,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.families import TABLE, TERM_KEYS, as_list, beside, sources
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import TERMS
+from g1stream.extras.policy.plausibility import doubts, refuse_implausible
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.session.records import PolicyInfo, Record
@@ -145,6 +146,11 @@ class PolicyContract(Record, frozen=True):
         ordered[self.order] = values
         return ordered
 
+    @property
+    def doubts(self) -> list[str]:
+        """Facts that are unusual for a G1, in sentences; any that cannot be are refused."""
+        return doubts(vars(self), self.joint_names, G1.default())
+
     def targets(self, action: Floats) -> Floats:
         """Targets (29,), rad, in motor order, of an action (joints,)."""
         if self.action_clip is not None:
@@ -267,6 +273,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         sides = [[*one] for one in zip(*limits, strict=True)]
         lows, highs = (_joint_values(one, names, "target_clip", where) for one in sides)
         arrays["target_clip"] = [[*one] for one in zip(lows, highs, strict=True)]
+    refuse_implausible(arrays, names, robot, where)
     _check_pose(arrays["default_pos"], names, robot, where)
     _check_width(terms, network, where)
     tracks = any(term.name.startswith("motion_") for term in terms)

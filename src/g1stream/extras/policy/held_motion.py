@@ -1,4 +1,4 @@
-"""Reader for the motion that a policy contains."""
+"""The motion that a policy contains: a reader, and a check of the motion that it shall track."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import MotionError
-from g1stream.extras.policy.contract import read_contract
-from g1stream.extras.policy.first_actions import held_frame
+from g1stream.errors import ConfigError, MotionError
+from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Pose, ReferenceFrame
 from g1stream.extras.policy.observer import pelvis_poses
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import Evidence
 from g1stream.robot.model import G1
+from g1stream.robot.rotations import wxyz_from_xyzw
 
 if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["HeldMotion", "motion_in"]
+__all__ = ["HeldMotion", "check_motion", "held_frame", "motion_in"]
 
+#: Compared length of a given motion and that in the policy, s; their largest RMS difference, rad.
+_COMPARED, _SAME = 5.0, 0.05
 #: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
 
@@ -29,6 +32,61 @@ def motion_in(policy: str) -> str | None:
     """Path of the ONNX file of a policy, given as of `Network`, if it holds its motion."""
     network = Network(policy)
     return str(network.path) if network.holds_motion else None
+
+
+def held_frame(contract: PolicyContract, network: Network, step: int) -> ReferenceFrame:
+    """The reference of a step from the motion in a policy.
+
+    Raises:
+        ConfigError: the motion has no pose of the anchor.
+    """
+    out = {
+        name: value.astype(np.float64)
+        for name, value in network.run(np.zeros(network.width), step).items()
+    }
+    joint_pos, joint_vel = map(contract.in_motor_order, (out["joint_pos"], out["joint_vel"]))
+    if {"ref_pos_xyz", "ref_quat_xyzw"} <= out.keys():  # holosoma
+        pose = Pose(out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"]))
+        return ReferenceFrame(joint_pos, joint_vel, pose)
+    bodies = network.metadata.get("body_names", "").split(",")
+    link = contract.anchor or "pelvis"
+    if not {"body_pos_w", "body_quat_w"} <= out.keys() or link not in bodies:
+        raise ConfigError(
+            f"The motion in {contract.path} has no pose of {link}.",
+            "Export the policy again, with body_names in its metadata.",
+        )
+    anchor = bodies.index(link)
+    pose = Pose(out["body_pos_w"][anchor], out["body_quat_w"][anchor])
+    return ReferenceFrame(joint_pos, joint_vel, pose)
+
+
+def check_motion(contract: PolicyContract, network: Network, motion: Motion) -> None:
+    """Refuse a motion that a policy does not track.
+
+    Raises:
+        ConfigError: the policy tracks no motion, or contains another motion.
+        MotionError: the motion has no sample at the policy's rate.
+    """
+    if contract.reference == "none":
+        raise ConfigError(
+            f"The policy {contract.path} tracks no motion: it does not observe one.",
+            "Give a policy whose observation has motion_command.",
+        )
+    if contract.reference != "in the policy":
+        return
+    most, parts = round(_COMPARED * contract.rate), []
+    for numbers, part in motion.samples(contract.rate, 0, motion.n_frames):
+        parts.append(part.joint_pos)
+        if numbers.stop >= most:
+            break
+    given = np.concatenate(parts)[:most]
+    held = [held_frame(contract, network, step).joint_pos for step in range(len(given))]
+    if (difference := float(np.sqrt(np.mean((given - held) ** 2)))) > _SAME:
+        raise ConfigError(
+            f"The policy {contract.path} contains another motion: its joint positions differ by "
+            f"{difference:.2f} rad (RMS) in the first seconds, more than {_SAME:g}.",
+            "Give the motion of the training; the policy's file is one, too.",
+        )
 
 
 class HeldMotion:

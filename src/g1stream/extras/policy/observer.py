@@ -44,7 +44,7 @@ class Observer:
         self._limits = [np.array(one.clip) if one.clip else None for one in contract.terms]
         self._scales = [np.array(one.scale) for one in contract.terms]
         self._order, self._default = contract.order, np.array(contract.default_pos)
-        self._frames: deque[ReferenceFrame] = deque(maxlen=contract.lag + 1)
+        self._frames: deque[ReferenceFrame | None] = deque(maxlen=contract.lag + 1)
         self._histories: list[deque[Floats]] = [
             deque(maxlen=one.history + one.behind) for one in contract.terms
         ]
@@ -61,8 +61,11 @@ class Observer:
             history.clear()
         self.last_action = self._smoothed = np.zeros(len(self._default))
 
-    def observe(self, state: RobotState, frame: ReferenceFrame) -> Floats:
-        """The observation (width,) of the next step. The reference is that of `lag` steps ago."""
+    def observe(self, state: RobotState, frame: ReferenceFrame | None) -> Floats:
+        """The observation (width,) of the next step. The reference is that of `lag` steps ago.
+
+        `frame` is None for a policy that tracks no motion.
+        """
         contract, parts = self._contract, []
         self._frames.append(frame)
         inputs = Inputs(

@@ -1,7 +1,7 @@
-"""Leg odometry: position and velocity of the pelvis, estimated from the standing foot.
+"""Position and velocity of the pelvis: the robot's own estimate, or leg odometry without one.
 
-As in Roston and Krotkov, "Dead reckoning navigation for walking robots" (IROS 1992), the lowest
-corner of the soles is assumed to be at rest, so the pelvis's movement follows from the legs.
+In leg odometry (Roston and Krotkov, "Dead reckoning navigation for walking robots", IROS 1992), the
+lowest corner of the soles is assumed to be at rest, so the pelvis's movement follows from the legs.
 """
 
 from __future__ import annotations
@@ -10,30 +10,41 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.dds.messages import SportModeState
+from g1stream.robot.rotations import quat_from_yaw, quat_rotate, yaw_of
 from g1stream.robot.soles import Soles
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["OF_BASE", "LegOdometry"]
+__all__ = ["OF_BASE", "Odometry"]
 
 OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
 """Terms that LowState does not contain."""
 
 
-class LegOdometry:
+class Odometry:
     """Position and velocity of the pelvis in the world of the IMU, on a floor at height 0.
 
+    Args:
+        robot: the robot.
+
     Attributes:
-        pos: (3,) m; x and y are 0 at the first update.
+        pos: (3,) m; x and y are 0 at the first update, and z follows from the legs.
         vel: (3,) m/s.
+        newest: returns the newest SportModeState that the robot has published since the last call,
+            or None.
     """
 
     def __init__(self, robot: G1) -> None:
-        self._soles = Soles(robot)
-        self._before: Floats | None = None
+        self._soles, self._state = Soles(robot), SportModeState()
+        self._corners: Floats | None = None
+        self._place: Floats | None = None
         self.pos, self.vel = np.zeros(3), np.zeros(3)
+        self.newest: Callable[[], bytes | None] = lambda: None
 
     def update(self, joint_pos: Floats, quat_wxyz: Floats, passed: float) -> None:
         """Update the estimate with a state.
@@ -44,9 +55,23 @@ class LegOdometry:
             passed: time since the state before, s.
         """
         corners = self._soles.path(joint_pos[None], np.zeros((1, 3)), quat_wxyz[None])[0]
-        if self._before is not None and passed > 0.0:
-            stands = int(np.argmin((corners + self._before)[:, 2]))
-            moved = self._before[stands] - corners[stands]
-            self.pos, self.vel = self.pos + moved, moved / passed
+        moved = np.zeros(3)
+        if self._corners is not None and passed > 0.0:
+            stands = int(np.argmin((corners + self._corners)[:, 2]))
+            moved = self._corners[stands] - corners[stands]
+            self.vel = moved / passed
+        before, self._place = self._place, None
+        if data := self.newest():
+            self._place = self._published(data, quat_wxyz)
+            moved = moved if before is None else self._place - before
+        self.pos, self._corners = self.pos + moved, corners
         self.pos[2] = -corners[:, 2].min()
-        self._before = corners
+
+    def _published(self, data: bytes, quat_wxyz: Floats) -> Floats:
+        """Use the velocity of a SportModeState, and return its position, in the IMU's world."""
+        state = self._state
+        state.load(data)
+        own = state.quaternion.astype(np.float64)
+        turn = quat_from_yaw(yaw_of(quat_wxyz) - yaw_of(own if own.any() else quat_wxyz))
+        self.vel = quat_rotate(turn, state.velocity.astype(np.float64))
+        return quat_rotate(turn, state.position.astype(np.float64))

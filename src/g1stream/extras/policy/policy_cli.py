@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -10,11 +12,18 @@ from g1stream.cli.command import (
     Command,
     print_json,
     print_lines,
+    print_note,
     print_result,
     print_warning,
 )
 from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from g1stream.extras.policy.contract import PolicyContract
+    from g1stream.extras.policy.network import Network
+    from g1stream.extras.policy.rehearsal import Rehearsal
+    from g1stream.motion.motion import Motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +32,15 @@ class Policy(Command):
 
     A policy is an ONNX file, or the name of a published one, such as holosoma, which is downloaded
     once. Facts that its metadata lacks are read from deploy.yaml or from a TOML
-    file of the same name beside it. Facts that no file has are listed with the line to write. With
-    a motion in the policy or --motion, the first five seconds are tried with the robot exactly at
-    the reference. Targets far from it show a wrong motion, order, term or scale.
+    file of the same name beside it. Facts that no file has are listed with the line to write.
+
+    --motion plays the first five seconds in lockstep, standing included. If the robot falls, about
+    twenty contracts that differ by one common mistake are tried, and those that stand are named.
+
+    --golden compares a run of the training side, term by term: a file of numpy.savez with a row for
+    each step in joint_pos, joint_vel (N, joints), root_pos_w (N, 3), root_quat_w (N, 4) wxyz,
+    root_lin_vel_b, root_ang_vel_b (N, 3), obs (N, width) and action (N, joints). It may have
+    time_step (N,), the frame of the motion.
 
     --replay feeds the recorded observations to the policy and checks that it gives the recorded
     actions, bit for bit. It also compares observations recomputed from LowState and Reference with
@@ -35,13 +50,14 @@ class Policy(Command):
     Examples:
       g1stream policy holosoma
       g1stream policy policy.onnx
-      g1stream policy policy.onnx --motion dance.csv --json
+      g1stream policy policy.onnx --motion dance.csv
+      g1stream policy policy.onnx --motion dance.csv --golden run.npz
       g1stream policy holosoma --toml > policy.toml
       g1stream policy --replay session.mcap
 
     Exit codes:
       0  printed
-      1  printed, but the first targets are far off, or a replay differs
+      1  printed, but the robot falls, or a golden run or a replay differs
       2  a fact is missing or wrong, no policy for a G1, or no policy in the session
     """
 
@@ -51,7 +67,16 @@ class Policy(Command):
         "FILE",
         positional=True,
     )
-    motion: str | None = flag(None, "Motion to track.", "MOTION", excludes=("replay",))
+    motion: str | None = flag(
+        None,
+        "Motion to track: its beginning is played in the simulator. A policy that holds one is a "
+        "motion file, too.",
+        "MOTION",
+        excludes=("replay",),
+    )
+    golden: str | None = flag(
+        None, "Run of the training side to compare with.", "NPZ", excludes=("replay",)
+    )
     replay: str | None = flag(None, "Session whose observations the policy gets.", "SESSION")
     json: bool = flag(False, "Print the result as JSON.")
     toml: bool = flag(
@@ -61,7 +86,7 @@ class Policy(Command):
     )
 
     def run(self) -> int:
-        """Print contract and first actions, or a replay, and return the exit code."""
+        """Print the contract and the verdicts, or a replay, and return the exit code."""
         if self.replay:
             return self._replay(self.replay)
         if self.file is None:
@@ -84,28 +109,48 @@ class Policy(Command):
 
     def _show(self, file: str) -> int:
         from g1stream.extras.policy.contract import read_contract
-        from g1stream.extras.policy.first_actions import first_actions
         from g1stream.extras.policy.network import Network
         from g1stream.motion.readers import load_motion
-        from g1stream.robot.model import G1
-        from g1stream.text import labelled
 
         network = Network(file)
         contract = read_contract(network)
         if self.toml:
             print_lines(contract.toml())
             return EXIT_OK
-        motion = load_motion(self.motion) if self.motion else None
-        if motion:
-            print_warning(*motion.warnings)
-        actions = first_actions(contract, network, G1.default(), motion)
-        if self.json:
-            first = actions.model_dump(mode="json") if actions else None
-            print_json(contract.model_dump(mode="json") | {"first_actions": first})
-        else:
+        print_warning(*contract.doubts)
+        if not self.json:
             print_lines(str(contract))
-            if actions:
-                print_lines(labelled("first actions   ", str(actions)))
-            if actions and actions.problem:
-                print_lines(labelled("problem         ", actions.problem))
-        return EXIT_STOPPED if actions and actions.problem else EXIT_OK
+        motion = None
+        if self.motion:
+            motion = load_motion(network.path if self.motion == file else self.motion)
+            print_warning(*motion.warnings)
+        if self.golden:
+            return self._compare(network, contract, motion)
+        found = self._rehearse(network, contract, motion) if motion else None
+        if self.json:
+            rehearsal = found.model_dump(mode="json") if found else None
+            print_json(contract.model_dump(mode="json") | {"rehearsal": rehearsal})
+        return EXIT_STOPPED if found and not found.stands else EXIT_OK
+
+    def _compare(self, network: Network, contract: PolicyContract, motion: Motion | None) -> int:
+        from g1stream.extras.policy.golden import compare_golden
+
+        found = compare_golden(Path(self.golden or ""), network, contract, motion)
+        if self.json:
+            print_json(found.model_dump(mode="json") | {"same": found.same})
+        else:
+            print_lines(str(found))
+        return EXIT_OK if found.same else EXIT_STOPPED
+
+    def _rehearse(self, network: Network, contract: PolicyContract, motion: Motion) -> Rehearsal:
+        from g1stream.extras.policy.rehearsal import Trial, rehearse_policy
+
+        def said(trial: Trial) -> None:
+            ended = f"falls after {trial.stood_s:.2f} s" if trial.reason else "stands"
+            print_note(f"{trial.contract or 'rehearsal'}: {ended}")
+
+        found = rehearse_policy(network, contract, motion, said)
+        if not self.json:
+            print_lines(str(found))
+        print_warning(*found.doubts)
+        return found

@@ -6,6 +6,7 @@ observed reference is the target of the motion. Before and after the motion the 
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
@@ -14,14 +15,14 @@ import numpy as np
 
 from g1stream.control.gains import Gains
 from g1stream.control.sources import Mode, Source, Status, Traits
-from g1stream.dds.messages import PolicyStep
+from g1stream.dds.messages import ODOMMODESTATE, PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
-from g1stream.extras.policy.first_actions import first_actions
+from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
-from g1stream.extras.policy.odometry import OF_BASE, LegOdometry
+from g1stream.extras.policy.odometry import OF_BASE, Odometry
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
@@ -44,11 +45,14 @@ if TYPE_CHECKING:
     from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Setpoint
+    from g1stream.dds.messages import Topic
     from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = ["TILTED", "BackToStanding", "PolicyTargets"]
+
+_LOGGER = logging.getLogger(__name__)
 
 TILTED: Final = 0.6
 """Tilt of the pelvis against the reference that counts as a fall, rad. Two policies that danced
@@ -56,6 +60,10 @@ for two minutes, in simulators that stalled, were tilted by at most 0.41."""
 
 #: Time to move from the still pose to the motion and back, s.
 _BLEND: Final = 1.0
+#: A fall within this time after the begin of the motion has begun while the robot stood, s.
+_FALLING: Final = 0.5
+#: A robot that falls earlier than this, s, also falls with a shorter `--stand`.
+_SOON: Final = 1.0
 #: PLAY begins when the feet have carried this fraction of the weight for this time, s, because a
 #: policy kicks while its feet are in the air.
 _CARRIED: Final = 0.1, 0.5
@@ -108,7 +116,7 @@ class PolicyTargets(Source):
         self._lowered_by_bridge = False
         self._share = self._carried_for = 0.0
         self._weighed = -_LOAD_PERIOD  # time of the last check, s
-        self._odometry = LegOdometry(robot) if estimated else None
+        self._odometry = Odometry(robot) if estimated else None
         self._phases = np.zeros(2), np.zeros(2)  # motion times, and shares of the motion then
         self._target: Floats | None = None
         self._next = 0.0
@@ -135,11 +143,7 @@ class PolicyTargets(Source):
 
     def prepare(self, motion: Motion) -> tuple[Motion, str]:
         settings = self._settings
-        first = first_actions(self.contract, self._network, self._robot, motion)
-        if first and first.problem and settings.beyond_limits != "anyway":
-            raise ConfigError(
-                f"{first.problem}.", "`g1stream stream --anyway` plays it in a simulator."
-            )
+        check_motion(self.contract, self._network, motion)
         part, whole = Interval.from_config(settings, motion), motion.duration
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
@@ -150,8 +154,15 @@ class PolicyTargets(Source):
         self._phases = np.array([begin, begin + length]), shares
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         if self._odometry:
-            text += "; the velocity of the pelvis is estimated by leg odometry"
+            text += (
+                f"; place and velocity of the pelvis come from {ODOMMODESTATE.name} where it is "
+                "published, and else from leg odometry"
+            )
         return changed, text
+
+    def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
+        if self._odometry:
+            self._odometry.newest = subscribe(ODOMMODESTATE)
 
     def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):
@@ -159,6 +170,8 @@ class PolicyTargets(Source):
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
                 "Start it with --support free.",
             )
+        for doubt in self.contract.doubts:
+            _LOGGER.warning("policy: %s", doubt)
         self._lowered_by_bridge = announced == "free"
         return Mode(None, "free", self._robot.name)
 
@@ -234,6 +247,11 @@ class PolicyTargets(Source):
             self._fall = (
                 f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
             )
+            (begin, end), time = self._phases[0], moment.target.motion_time
+            if time < begin + _FALLING or time > end + _BLEND:
+                self._fall += f", while it stands {'after' if time > end else 'before'} the motion"
+                if time > _SOON and self._settings.stand > _SOON:
+                    self._fall += "; give a shorter --stand, such as 0.5"
 
     def _state(self, moment: Moment) -> RobotState:
         measured, imu = moment.measured, moment.measured.imu

@@ -7,8 +7,8 @@ from typing import Literal
 import pytest
 
 from g1stream.cli.command import Command, announce_wire
-from g1stream.cli.flags import argument, command_parser, flag, flag_name, parse_flags
-from g1stream.cli.main import COMMANDS, load_command
+from g1stream.cli.flags import argument, flag, flag_name, parse_flags
+from g1stream.cli.main import load_command
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Stream
@@ -16,11 +16,6 @@ from g1stream.config import Config, settings
 from g1stream.errors import ConfigError
 
 CLASSES = {"stream": Stream, "record": Record, "sim": Sim}
-#: The commands that can write a file.
-WRITES = {
-    *("demo", "stream", "record", "convert", "library", "attach", "report", "plot"),
-    *("simulate", "fit", "render", "layout"),
-}
 
 
 def resolved(command, *arguments):
@@ -123,15 +118,6 @@ def test_a_hint_is_a_flag_that_is_spelt_nearly_so_and_means_no_opposite(command,
     with pytest.raises(ConfigError) as caught:
         parse_flags(load_command(command), command, "", [wrong])
     assert re.findall("--[-a-z]+(?=;)", caught.value.remedy) == ([near] if near else [])
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_its_output_as_o_and_its_result_as_json(command):
-    flags = command_parser(load_command(command), command, "")._option_string_actions
-    assert "--json" in flags
-    assert ("-o" in flags) == (command in WRITES)
-    if "-o" in flags:
-        assert {"--out", "--record"} & {*flags["-o"].option_strings}
 
 
 def test_an_argument_that_is_missing_is_named():

@@ -1,8 +1,5 @@
 """What can be combined: one data file for the refusals and for the page."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
 from g1stream.config import StreamConfig, load_config
@@ -10,8 +7,6 @@ from g1stream.control.combinations import _ABOUT, combinations, require_combinat
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.robot.joints import JOINT_SETS
 from g1stream.robot.model import G1
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_the_tables_name_settings_and_kinds_that_exist():
@@ -51,12 +46,3 @@ def test_what_is_not_in_the_tables_is_refused(over, robot, simulated, refused):
         return
     with pytest.raises(refused):
         require_combination(config, robot, simulated=simulated)
-
-
-def test_the_page_is_made_of_the_tables():
-    path = ROOT / "tools" / "make_support_page.py"
-    spec = importlib.util.spec_from_file_location("make_support_page", path)
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    page = (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
-    assert tool.support_page() == page, "run tools/make_support_page.py"

@@ -109,7 +109,7 @@ def test_another_publisher_is_refused_before_the_first_command(make_loop, link, 
     with pytest.raises(SafetyError, match=f"publisher on {topic}: ") as no:
         loop.run()
     assert ", ".join(PUBLISHERS) in no.value.cause
-    assert loop.report.stop.text == no.value.cause.rstrip(".")
+    assert loop.report.stop.text == f"{no.value.cause} {no.value.remedy}".rstrip(".")
     assert link.sent == []
 
 

@@ -67,6 +67,7 @@ def test_the_tables_of_pages_are_what_the_program_uses():
     for name in tool.TABLES:
         page = PAGES[f"docs/{name}"]
         assert tool.with_tables(page, name) == page, "run tools/make_support_page.py"
+    assert tool.support_page() == PAGES["docs/support.md"], "run tools/make_support_page.py"
 
 
 @pytest.fixture

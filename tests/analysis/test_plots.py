@@ -93,6 +93,17 @@ def test_the_scale_of_the_error_is_that_of_play(play, write_session):
     assert max(np.nanmax(line.get_ydata()) for line in axes.get_lines()) > axes.get_ylim()[1]
 
 
+def test_a_state_that_is_not_finite_leaves_the_rest_of_the_error(play, write_session):
+    reference, measured = play(0.0, 0.1)
+    end = open_session(write_session(reference, measured, name="good.mcap")).measured.time[-1]
+    measured.q[300, 0] = measured.q[310, 3] = np.nan
+    figure = open_session(write_session(reference, measured, name="nan.mcap")).plot()
+    axes = next(a for a in figure.axes if a.get_title("left").startswith("RMS "))
+    left, *others = (line.get_xydata() for line in axes.get_lines() if len(line.get_xdata()) > 2)
+    for times, rms in (one.T for one in (left, *others)):
+        assert np.isfinite(rms[times > end - 0.7]).any()
+
+
 def test_a_session_that_ended_before_play(play, take, write_session, figures, tmp_path):
     streams = [take(stream, slice(0, 200)) for stream in play()]
     draw(open_session(write_session(*streams)), tmp_path / "tracking.png")

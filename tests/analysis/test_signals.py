@@ -63,6 +63,11 @@ def test_the_error_is_that_of_every_phase_in_which_a_pose_is_asked_for(play, wri
     np.testing.assert_allclose(line.values[in_play], np.degrees(found.error), atol=1e-6)
 
 
+def test_a_part_before_the_first_reference_has_no_error(play, write_session):
+    part = open_session(write_session(*play())).sel(time=slice(-9.0, -5.0))
+    assert signal(part, "error").lines == ()
+
+
 def test_the_torque_asked_for_is_the_servos():
     rng = np.random.default_rng(6)
 

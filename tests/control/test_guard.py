@@ -2,11 +2,12 @@ import os
 import socket
 import subprocess
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from g1stream.config import Config
-from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, _here, _settings
+from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, _here, _settings, _watch
 from g1stream.dds.messages import LowCmd
 from threads import in_thread
 
@@ -52,6 +53,29 @@ def test_nothing_is_taken_over_before_the_first_command(watch):
 def test_silence_and_state_decide(watch, silence, state, expected):
     now = START + silence * MS
     assert watch.judge(now, now, START, state) is expected
+
+
+def test_a_takeover_is_rehearsed_once_shortly_before_the_limit(heartbeat, monkeypatch):
+    """In time for the takeover to be quick, and never while the stream is in time."""
+    now, ages = START, []
+    monkeypatch.setattr("g1stream.control.guard.time.monotonic_ns", lambda: now)
+
+    def wait(seconds):
+        nonlocal now
+        now += round(1e9 * seconds)
+        if now < START + 400 * MS:  # it writes every 20 ms, then no more
+            heartbeat.begin_write(bytes(LowCmd().tobytes()), now - now % (20 * MS))
+            heartbeat.end_write(sent=True)
+        return now > START + 1_000 * MS
+
+    parent = SimpleNamespace(done=SimpleNamespace(wait=wait), beat=lambda: None)
+    settings = _settings(Config(), 0, ())._replace(limit=LIMIT)
+    heartbeat.begin_write(bytes(LowCmd().tobytes()), START)
+    heartbeat.end_write(sent=True)
+    why = _watch(parent, heartbeat, settings, list, lambda: ages.append(now - heartbeat.last_write))
+    assert why is Takeover.SILENT
+    assert now - heartbeat.last_write == LIMIT
+    assert ages == [LIMIT - 10 * MS]
 
 
 def test_the_guards_own_lateness_is_no_silence(watch):

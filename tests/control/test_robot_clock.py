@@ -86,6 +86,26 @@ def test_a_motion_waits_for_as_long_as_the_loop_stalled(robot_too):
     )
 
 
+def test_the_robots_time_is_exact_over_a_gap_that_its_motion_does_not_follow():
+    robot = Robot()
+    robot.run(0.5)
+    robot.run(0.3, silent=True)
+    before = robot.time.time
+    robot.run(_PERIOD / 1e9)
+    assert robot.time.time - before == pytest.approx(0.3e9, abs=2 * _PERIOD)
+    assert robot.time.delay > 0.2e9
+
+
+def test_a_motion_follows_a_robot_of_25_states_a_second():
+    clock = RobotClock(1.0)
+    clock.take(SimpleNamespace(tick=0, arrived=0), moving=False)
+    clock.begin(0)
+    for k in range(1, 200):
+        clock.take(SimpleNamespace(tick=40 * k, arrived=40 * k * _MS), moving=False)
+        clock.wait(40 * k * _MS)
+    assert clock.delay <= _SLACK
+
+
 def test_a_tick_that_is_full_begins_again():
     time = RobotClock(1.0)
     time.take(SimpleNamespace(tick=2**32 - 10, arrived=0), moving=True)

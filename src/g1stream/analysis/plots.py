@@ -239,9 +239,11 @@ def _draw_error(
     if tracking is None:
         return
     (line,) = signal(session, "error").lines
-    asked, top = ~np.isnan(line.values[:, 0]), 0.0
+    top = 0.0
     for group, joints in tracking.limbs.items():
-        times, rms = _binned_rms(line.time[asked], line.values[asked][:, joints])
+        error = line.values[:, joints]
+        known = np.isfinite(error).all(axis=1)
+        times, rms = _binned_rms(line.time[known], error[known])
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
         in_play = (times >= tracking.time[0]) & (times <= tracking.time[-1])
         top = np.fmax.reduce(rms[in_play], initial=top)

@@ -210,6 +210,8 @@ def _errors(session: Recording, joints: Sequence[int]) -> tuple[Line, ...]:
     if not {"reference", "measured"} <= lines.keys():
         return ()
     asked, (_, time, error) = lines["reference"], lines["measured"]
+    if not len(asked.time):  # a part before the first
+        return ()
     for column, target in zip(error.T, asked.values.T, strict=True):
         column[:] = np.interp(time, asked.time, target, np.nan, np.nan) - column
     known = ~np.isnan(error).all(axis=1)

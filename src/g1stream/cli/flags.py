@@ -339,7 +339,8 @@ class _Parser(ArgumentParser):
     def _nearest(self, flag: str) -> str:
         """A hint at the known flag with the most similar name, unless it has the opposite sense."""
         off = flag.startswith("--no-")
-        names = [known[2:] for known in self._known if known.startswith("--no-") == off]
+        long = [known for known in self._known if known.startswith("--")]
+        names = [known[2:] for known in long if known.startswith("--no-") == off]
         close = get_close_matches(flag[2:], names, 1, _SIMILAR)
         return f"The most similar flag is --{close[0]}; " if close else ""
 

@@ -209,8 +209,8 @@ class StreamLoop:
     def _catch_up(self, deadline: int, gap: int) -> None:
         """Continue after ticks were skipped for `gap` ns, or stop after too long a stall.
 
-        The target advances by at most `MAX_STEP_TIME`, and by what `RobotClock` catches up. The
-        rest of the time is added to the phase, so that the motion ends later instead of jumping.
+        The target advances by at most `MAX_STEP_TIME`. The rest of the time is added to the phase,
+        so that the motion ends later instead of jumping.
         """
         # Only time with commands counts towards the configured duration of damping.
         self._commands.delay_soft_start(gap)

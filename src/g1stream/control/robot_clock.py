@@ -19,9 +19,10 @@ __all__ = ["RobotClock", "counts_messages"]
 #: Maximum difference of a motion from the robot's time, ns; above the jitter of ticks.
 _SLACK: Final = 10_000_000
 _NS_PER_MS: Final = 1_000_000
-#: Maximum time of the robot between two readings, ns. In a longer one the motors obeyed an old
-#: command, and the motion waits until the source has seen what that did.
-_LONGEST: Final = round(STALE * 1e9)
+_STALE: Final = round(STALE * 1e9)
+#: Maximum time between two readings that a motion follows, ns; LowState of 25 Hz. In a longer gap
+#: the motors obeyed an old command, and the motion waits until the source has seen what that did.
+_LONGEST: Final = 40_000_000
 #: Readings that show whether ticks are a clock.
 _FIRST: Final = 50
 #: Ticks count messages if this share of them steps by 1 at a median interval longer than this, ns.
@@ -48,7 +49,7 @@ class RobotClock:
     The ticks of LowState count ms of the robot's time in Unitree's C++ simulator, in g1stream's
     and on the robot. If they do not change, as in Unitree's Python simulator, or count messages, as
     in unitree_sim_isaaclab, the time passes at the measured scale. It stops while no LowState
-    arrives, and such a gap counts for at most 20 ms, also if the robot went on meanwhile.
+    arrives. A motion does not follow long gaps, also if the robot went on meanwhile.
 
     The scale is the ratio of simulated to real time, from measured joint positions and velocities.
     In a span of real time a joint moves by d. Its velocity is measured in simulated time, and
@@ -91,7 +92,7 @@ class RobotClock:
         self.scale = 1.0 if scale is None else scale
         self.delay = 0
         self._last: Reading | None = None
-        self.time = 0
+        self.time = self._left_out = 0
         self._begun: tuple[int, int] | None = None  # in both times
         self._ticks = self._counted = False
         self._first: list[tuple[int, int]] = []  # ticks and ns between the first readings
@@ -111,14 +112,16 @@ class RobotClock:
                 self._counted = counts_messages(*np.array(self._first).T)
             self._ticks = self._ticks or ticks != 0
             counts_ms = self._ticks and not self._counted
-            since = max(0, ticks) * _NS_PER_MS if counts_ms else round(passed * self.scale)
-            self.time += min(since, _LONGEST)
+            slowed = round(min(passed, _STALE) * self.scale)
+            since = max(0, ticks) * _NS_PER_MS if counts_ms else slowed
+            self.time += since
+            self._left_out += max(0, since - _LONGEST)
         if self._measures and moving:
             self._integrate(measured)
 
     def begin(self, now: int) -> None:
         """Begin the motion at `now`, ns."""
-        self.delay, self._begun = 0, (now, self.time)
+        self.delay, self._begun = 0, (now, self.time - self._left_out)
 
     def wait(self, now: int) -> int:
         """Change of `delay` since the last call, ns; negative if the motion catches up."""
@@ -126,7 +129,7 @@ class RobotClock:
             return 0
         age = min(now - self._last.arrived, _SLACK)
         begun, robot_begun = self._begun
-        behind = now - begun - (self.time - robot_begun) - age
+        behind = now - begun - (self.time - self._left_out - robot_begun) - age
         before = self.delay
         self.delay = min(max(before, behind - _SLACK), behind + _SLACK)
         return self.delay - before

@@ -46,11 +46,11 @@ REMEDIES: Final[dict[StopKind, str]] = {
     "motor": "Switch the robot off and on; Unitree's app shows the state of its motors.",
     "temperature": "Let the motor cool down.",
     "voltage": "Charge or change the battery.",
-    "fall": "Set the robot up again, and check the motion with `g1stream physics`.",
+    "fall": "Set the robot up again; `g1stream report` shows what came first.",
     "target": "Check the motion with `g1stream motion`, or the program that sends the targets.",
     "loop": "End other programs, or lower stream.rate.",
     "publisher": "End the other program; `g1stream doctor` names it.",
-    "guard": "End other programs, and neither stop nor kill this one.",
+    "guard": "End other programs, and stop neither `g1stream stream` nor its guard process.",
     "recorder": "Make room on the disk, or record elsewhere.",
 }
 """What to do, by kind; a kind that is not here needs nothing."""

@@ -34,6 +34,7 @@ EXTENSIONS: Final = {
     "write_bag": "g1stream.extras.ros2.bag_writer:write_ros2_bag",
     "motion_in_policy": "g1stream.extras.policy.held_motion:motion_in",
     "read_policy": "g1stream.extras.policy.held_motion:HeldMotion",
+    "rehearse_policy": "g1stream.extras.policy.rehearsal:require_standing",
     "policy_terms": "g1stream.extras.policy.terms:encode",
     "policy_terms_schema": "g1stream.extras.policy.terms:schema",
     "write_motion": "g1stream.extras.formats.write:write_motion",

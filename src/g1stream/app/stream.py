@@ -25,7 +25,7 @@ from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import check_output_path
 from g1stream.network import is_local_only
-from g1stream.optional import load_object
+from g1stream.optional import extension
 from g1stream.realtime import describe, on_time
 from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
@@ -47,8 +47,6 @@ _LOGGER = logging.getLogger(__name__)
 
 #: Time to listen on DDS for a diagnosis if no robot answered, s.
 _LISTEN: Final = 0.2
-#: Refuses a policy with which the robot falls in the simulator.
-_REHEARSAL: Final = "g1stream.extras.policy.rehearsal:require_standing"
 
 
 def stream(
@@ -105,7 +103,7 @@ def stream(
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
         if config.stream.policy and config.stream.rehearse:
-            load_object(_REHEARSAL)(motion, config)
+            extension("rehearse_policy")(motion, config)
         confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:

@@ -6,16 +6,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.cli.main import main
+from g1stream.errors import ConfigError
+from g1stream.extras.policy.observer import frame_of
 from g1stream.motion.motion import Motion
 from known_policies import DANCE, POLICIES, needs_policies
 
-SEED = np.random.default_rng(7)
 N, FIRST = 40, 20
 TERMS = {"motion_command": 58, "motion_anchor_ori_b": 6, "base_ang_vel": 3} | dict.fromkeys(
     ("joint_pos_rel", "joint_vel_rel", "last_action"), 29
 )
 STARTS = dict(zip(TERMS, np.cumsum([0, *TERMS.values()]), strict=False))
-WEIGHTS = SEED.normal(0.0, 0.05, (154, 29)).astype(np.float32)
+WEIGHTS = np.random.default_rng(7).normal(0.0, 0.05, (154, 29)).astype(np.float32)
 
 
 def wxyz(turn):
@@ -51,12 +52,16 @@ def motion(tmp_path):
 
 @pytest.fixture
 def golden(motion):
-    """A run as a training would log it: by the published formulas, in float32."""
+    """A run as a training would log it: by the published formulas, in float32.
+
+    It begins in the pose of the reference.
+    """
+    random, off = np.random.default_rng(8), np.arange(N)[:, None] > 0
     _, ref_pos, ref_vel, ref_pelvis = motion
-    joint_pos = ref_pos + SEED.normal(0.0, 0.05, (N, 29))
-    joint_vel = ref_vel + SEED.normal(0.0, 0.5, (N, 29))
-    pelvis = ref_pelvis * Rotation.from_rotvec(SEED.normal(0.0, 0.05, (N, 3)))
-    turning = SEED.normal(0.0, 1.0, (N, 3))
+    joint_pos = ref_pos + off * random.normal(0.0, 0.05, (N, 29))
+    joint_vel = ref_vel + random.normal(0.0, 0.5, (N, 29))
+    pelvis = ref_pelvis * Rotation.from_rotvec(off * random.normal(0.0, 0.05, (N, 3)))
+    turning = random.normal(0.0, 1.0, (N, 3))
     relative = torso(pelvis, joint_pos).inv() * torso(ref_pelvis, ref_pos)
     obs, action = np.zeros((N, 154), np.float32), np.zeros((N, 29), np.float32)
     for i in range(N):
@@ -169,13 +174,35 @@ def test_an_action_that_differs_is_named(compared, golden):
 
 def test_a_run_in_another_world_is_aligned(compared, golden):
     """The robot stands elsewhere, with another heading; the first step aligns them."""
-    golden["root_quat_w"][0] = [1.0, 0.0, 0.0, 0.0]
     turned = Rotation.from_euler("z", 1.0) * Rotation.from_quat(
         golden["root_quat_w"][:, [1, 2, 3, 0]]
     )
-    code, result = compared(root_quat_w=wxyz(turned))
-    assert (code, result["aligned"]) == (1, True)
-    assert result["terms"]["motion_anchor_ori_b"]["max_abs"] < 0.5
+    code, result = compared(root_quat_w=wxyz(turned), root_pos_w=golden["root_pos_w"] + 3.0)
+    assert (code, result["aligned"], result["same"]) == (0, True, True)
+    assert result["terms"]["motion_anchor_ori_b"]["max_abs"] < 1e-5
+
+
+def test_a_change_that_cannot_be_tried_hides_no_difference(compared, golden, monkeypatch):
+    def without_pelvis(contract, *given):
+        if contract.anchor == "pelvis":
+            raise ConfigError("The motion lacks the pelvis.", "")
+        return frame_of(contract, *given)
+
+    monkeypatch.setattr("g1stream.extras.policy.golden.frame_of", without_pelvis)
+    code, result = compared(obs=changed(golden, "base_ang_vel", lambda x: 0.25 * x))
+    assert code == 1
+    assert result["terms"]["base_ang_vel"]["relation"] == "ours x 0.25"
+
+
+def test_a_motion_with_one_sample_at_the_rate_of_the_policy_is_still(compared, golden, motion):
+    path, joint_pos = motion[0], np.full((2, 29), 0.2)
+    path.unlink()
+    quat = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    Motion("still", 100.0, joint_pos, np.zeros((2, 3)), quat).save(path)
+    still = np.repeat([[0.2, 0.0]], 29, axis=1)
+    code, result = compared(obs=changed(golden, "motion_command", lambda x: 0.0 * x + still))
+    assert code == 1
+    assert result["terms"]["motion_command"]["relation"] == ""
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
 import json
 import logging
 import threading
+from types import SimpleNamespace
 
+import onnx
 import pytest
 
 import g1stream
@@ -60,7 +62,7 @@ def simulated(monkeypatch):
     def simulate(stands):
         tried = []
 
-        def rehearse(motion, config, stand):
+        def rehearse(motion, config, stand, seconds):
             tried.append((read_contract(Network(config.stream.policy)), stand))
             reason = "" if stands(*tried[-1]) else "the robot falls"
             ended = Termination(reason=reason, played_s=1.0 if reason else 7.0, motion_s=7.0)
@@ -129,10 +131,37 @@ def test_a_contract_that_cannot_be_played_is_one_that_falls(policy, simulated, m
     changes = [("joints of none", {"joint_names": ["hip"] * 29}), ("lag 1", {"lag": 1})]
     monkeypatch.setattr(rehearsal, "_changes", lambda contract: iter(changes))
     found = rehearse_policy(network, read_contract(network), g1stream.load_motion("demo"))
-    assert [(one.contract, one.stood_s) for one in found.near] == [
-        ("lag 1", 1.0),
-        ("joints of none", 0.0),
+    assert [(one.contract, one.stood_s, one.playable) for one in found.near] == [
+        ("lag 1", 1.0, True),
+        ("joints of none", 0.0, False),
     ]
+    assert str(found).count("cannot be played") == 1  # no trial has an RMSE here
+
+
+def test_contracts_are_tried_with_external_data_of_any_name(policy, simulated):
+    path = policy()
+    external = {"save_as_external_data": True, "location": "w.bin", "size_threshold": 0}
+    onnx.save(onnx.load(path), path, **external)
+    network, toml = Network(path), path.with_suffix(".toml")
+    toml.write_text("lag = 0\n")
+    tried = simulated(lambda contract, stand: False)
+    rehearse_policy(network, read_contract(network), g1stream.load_motion("demo"))
+    assert {one.lag for one, _ in tried} == {0, 1}
+    assert toml.read_text() == "lag = 0\n"
+
+
+def test_the_time_that_was_tried_is_named(policy, monkeypatch):
+    tried, ended = [], Termination(reason="the robot falls", played_s=1.0, motion_s=2.0)
+
+    def rollout(motion, *, config, seconds):
+        tried.append(seconds)
+        return SimpleNamespace(summary=lambda: Summary(termination=ended))
+
+    monkeypatch.setattr(rehearsal, "rollout", rollout)
+    config = Config(stream={"policy": str(policy()), "rehearse": 5.0, "duration": 2.0})
+    with pytest.raises(SafetyError, match=r"\b2 s\b"):
+        rehearsal.require_standing(g1stream.load_motion("demo"), config)
+    assert tried == [2.0]
 
 
 def test_the_verdict_is_the_exit_code_and_each_trial_has_a_line(policy, simulated, capsys):
@@ -140,11 +169,21 @@ def test_the_verdict_is_the_exit_code_and_each_trial_has_a_line(policy, simulate
         simulated(lambda contract, stand, stands=stands: stands)
         assert main(["policy", str(policy()), "--motion", "demo", "--json"]) == code
         text = capsys.readouterr()
-        found = json.loads(text.out)["rehearsal"]
+        result = json.loads(text.out)
+        found = result["rehearsal"]
+        assert (found["stands"], found["doubts"]) == (stands, [])
+        assert all(one in text.err for one in result["doubts"])
         assert bool(found["own"]["reason"]) is not stands
-        assert len(text.err.splitlines()) == len(found["near"]) + (1 if stands else 2)
+        assert len(text.err.splitlines()) == len(result["doubts"]) + len(found["near"]) + (
+            1 if stands else 2
+        )
     assert main(["policy", str(policy()), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rehearsal"] is None
+
+
+@pytest.mark.parametrize("other", ["--golden", "--motion"])
+def test_toml_is_refused_with_a_check(policy, other):
+    assert main(["policy", str(policy()), other, "demo", "--toml"]) == 2
 
 
 def test_a_rehearsal_is_silent_and_other_threads_are_not(monkeypatch):

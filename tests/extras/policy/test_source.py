@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import onnx
 import pytest
@@ -381,6 +383,38 @@ def test_place_and_velocity_of_the_robot_come_before_leg_odometry():
     speeds = [5.0, 5.0, 0.0, 5.0, 0.0]
     assert [vel for _, vel in found] == [pytest.approx([0.0, v, 0.0], abs=1e-6) for v in speeds]
     assert 0.6 < height < 0.8
+
+
+def test_a_yaw_that_drifts_moves_no_place():
+    """The robot stands 20 m from its origin, while its own yaw drifts."""
+    odometry = Odometry(ROBOT)
+    said = [published([20.0, 0.0, 0.8], np.zeros(3), yaw=0.01 * i) for i in range(20)]
+    odometry.newest = iter(said).__next__
+    for _ in said:
+        odometry.update(bent(), UPRIGHT, 0.02)
+    assert odometry.pos[:2] == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("field", ["position", "velocity", "quaternion"])
+def test_a_place_that_is_not_finite_is_ignored(field):
+    odometry, damaged = Odometry(ROBOT), SportModeState()
+    damaged.load(published([0.1, 0.0, 0.8], np.zeros(3)))
+    getattr(damaged, field)[1] = np.nan
+    said = [published([x, 0.0, 0.8], [0.5, 0.0, 0.0]) for x in (0.0, 0.2, 0.3)]
+    odometry.newest = iter([said[0], damaged.tobytes(), *said[1:]]).__next__
+    for _ in range(4):
+        odometry.update(bent(), UPRIGHT, 0.02)
+    assert odometry.pos[:2] == pytest.approx([0.1, 0.0], abs=1e-6)  # since the sample after it
+    assert odometry.vel == pytest.approx([0.5, 0.0, 0.0])
+
+
+def test_the_doubts_are_those_of_the_robot(policy, target, caplog):
+    weak = replace(ROBOT, effort=0.1 * ROBOT.effort)
+    source = PolicyTargets(settings(policy()), weak)
+    source.begin(target, "free", None)
+    doubts = source.contract.doubts(weak)
+    assert doubts != source.contract.doubts(ROBOT)
+    assert [one for one in doubts if one in caplog.text] == doubts
 
 
 def test_a_policy_subscribes_to_the_place_only_if_it_observes_it(policy, target):

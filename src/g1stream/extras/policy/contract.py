@@ -146,10 +146,9 @@ class PolicyContract(Record, frozen=True):
         ordered[self.order] = values
         return ordered
 
-    @property
-    def doubts(self) -> list[str]:
-        """Facts that are unusual for a G1, in sentences; any that cannot be are refused."""
-        return doubts(vars(self), self.joint_names, G1.default())
+    def doubts(self, robot: G1) -> list[str]:
+        """Facts that are unusual for a robot, in sentences; any that cannot be are refused."""
+        return doubts(vars(self), self.joint_names, robot)
 
     def targets(self, action: Floats) -> Floats:
         """Targets (29,), rad, in motor order, of an action (joints,)."""

@@ -36,13 +36,13 @@ class Odometry:
         pos: (3,) m; x and y are 0 at the first update, and z follows from the legs.
         vel: (3,) m/s.
         newest: returns the newest SportModeState that the robot has published since the last call,
-            or None.
+            or None. One that is not finite is ignored.
     """
 
     def __init__(self, robot: G1) -> None:
         self._soles, self._state = Soles(robot), SportModeState()
         self._corners: Floats | None = None
-        self._place: Floats | None = None
+        self._place: Floats | None = None  # in the world of SportModeState, m
         self.pos, self.vel = np.zeros(3), np.zeros(3)
         self.newest: Callable[[], bytes | None] = lambda: None
 
@@ -60,18 +60,16 @@ class Odometry:
             stands = int(np.argmin((corners + self._corners)[:, 2]))
             moved = self._corners[stands] - corners[stands]
             self.vel = moved / passed
-        before, self._place = self._place, None
+        before, self._place, state = self._place, None, self._state
         if data := self.newest():
-            self._place = self._published(data, quat_wxyz)
-            moved = moved if before is None else self._place - before
+            state.load(data)
+            place, vel, own = (
+                one.astype(np.float64) for one in (state.position, state.velocity, state.quaternion)
+            )
+            if np.isfinite([*place, *vel, *own]).all():
+                turn = quat_from_yaw(yaw_of(quat_wxyz) - yaw_of(own if own.any() else quat_wxyz))
+                self._place, self.vel = place, quat_rotate(turn, vel)
+                if before is not None:
+                    moved = quat_rotate(turn, place - before)
         self.pos, self._corners = self.pos + moved, corners
         self.pos[2] = -corners[:, 2].min()
-
-    def _published(self, data: bytes, quat_wxyz: Floats) -> Floats:
-        """Use the velocity of a SportModeState, and return its position, in the IMU's world."""
-        state = self._state
-        state.load(data)
-        own = state.quaternion.astype(np.float64)
-        turn = quat_from_yaw(yaw_of(quat_wxyz) - yaw_of(own if own.any() else quat_wxyz))
-        self.vel = quat_rotate(turn, state.velocity.astype(np.float64))
-        return quat_rotate(turn, state.position.astype(np.float64))

@@ -35,6 +35,12 @@ ORDERS: Final[Mapping[str, Sequence[str]]] = {
 
 #: Values left and right that differ by a smaller share are rounded.
 _EQUAL: Final = 0.05
+#: Values that differ by less, in their units, are rounded, too.
+_NOISE: Final = 1e-3
+#: Whether a motor has another one on the other side, (29,).
+_IN_PAIRS: Final = np.arange(N_JOINTS) != MIRRORED_JOINT
+#: Least pairs of joints, not 0, that show the order of values. A pose with fewer may be uneven.
+_PAIRS: Final = 3
 #: Least torque of a servo whose target is the whole range of its joint away, as a share of the
 #: torque limit. Published policies have 0.3 (ankle roll) and more; kp = 1 has 0.01 there.
 _REACH: Final = 0.05
@@ -72,10 +78,11 @@ def refuse_implausible(
     for what in ("kp", "kd", "action_scale", "default_pos"):
         given = _by_motor(np.abs(values[what]), names)
         orders = {order: [name for name in of if name in names] for order, of in ORDERS.items()}
+        there = {order: _by_motor(np.abs(values[what]), of) for order, of in orders.items()}
         even = [
-            one
-            for one, of in orders.items()
-            if not len(_uneven(_by_motor(np.abs(values[what]), of)))
+            order
+            for order, of in there.items()
+            if not len(_uneven(of)) and np.sum((of > _NOISE) & _IN_PAIRS) >= 2 * _PAIRS
         ]
         uneven = _uneven(given)
         if not len(uneven) or (what == "default_pos" and not even):  # a pose may be uneven
@@ -110,8 +117,8 @@ def doubts(values: Mapping[str, Any], names: Sequence[str], robot: G1) -> list[s
         for at in np.flatnonzero((asked < _UNIT[0]) | (asked > _UNIT[1]))[:1]
     ]
     told += [
-        f"kp of {JOINT_NAMES[at]} is {kp[at]:g} N·m/rad, but that of its motor class, which "
-        f"{len(names) - len(other)} other joints have, {classes[at]:g}"
+        f"kp of {JOINT_NAMES[at]} is {kp[at]:g} N·m/rad, but its motor class has "
+        f"{classes[at]:g}; {len(names) - len(other)} other joints have the value of theirs"
         for at in other[:1]
     ]
     return told
@@ -127,7 +134,9 @@ def _by_motor(values: Sequence[float], names: Sequence[str]) -> Floats:
 def _uneven(values: Floats) -> NDArray[np.intp]:
     """Motors whose value (29,) is not that of the other side."""
     other = values[MIRRORED_JOINT]
-    return np.flatnonzero(np.abs(values - other) > _EQUAL * np.maximum(values, other))
+    return np.flatnonzero(
+        np.abs(values - other) > np.maximum(_NOISE, _EQUAL * np.maximum(values, other))
+    )
 
 
 def _kp_of_class(name: str) -> float:

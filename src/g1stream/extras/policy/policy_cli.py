@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -69,8 +69,8 @@ class Policy(Command):
     )
     motion: str | None = flag(
         None,
-        "Motion to track: its beginning is played in the simulator. A policy that holds one is a "
-        "motion file, too.",
+        "Motion to track: its beginning is played in the simulator, unless --golden is given. A "
+        "policy that holds one is a motion file, too.",
         "MOTION",
         excludes=("replay",),
     )
@@ -82,7 +82,7 @@ class Policy(Command):
     toml: bool = flag(
         False,
         "Print the facts as TOML, to write them beside another policy.",
-        excludes=("json", "replay"),
+        excludes=("json", "motion", "golden", "replay"),
     )
 
     def run(self) -> int:
@@ -111,13 +111,15 @@ class Policy(Command):
         from g1stream.extras.policy.contract import read_contract
         from g1stream.extras.policy.network import Network
         from g1stream.motion.readers import load_motion
+        from g1stream.robot.model import G1
 
         network = Network(file)
         contract = read_contract(network)
         if self.toml:
             print_lines(contract.toml())
             return EXIT_OK
-        print_warning(*contract.doubts)
+        doubts = contract.doubts(G1.default())
+        print_warning(*doubts)
         if not self.json:
             print_lines(str(contract))
         motion = None
@@ -128,8 +130,11 @@ class Policy(Command):
             return self._compare(network, contract, motion)
         found = self._rehearse(network, contract, motion) if motion else None
         if self.json:
-            rehearsal = found.model_dump(mode="json") if found else None
-            print_json(contract.model_dump(mode="json") | {"rehearsal": rehearsal})
+            told: dict[str, Any] = {"doubts": doubts, "rehearsal": None}
+            if found:
+                verdict = {"stands": found.stands, "doubts": found.doubts}
+                told["rehearsal"] = found.model_dump(mode="json") | verdict
+            print_json(contract.model_dump(mode="json") | told)
         return EXIT_STOPPED if found and not found.stands else EXIT_OK
 
     def _compare(self, network: Network, contract: PolicyContract, motion: Motion | None) -> int:
@@ -146,7 +151,7 @@ class Policy(Command):
         from g1stream.extras.policy.rehearsal import Trial, rehearse_policy
 
         def said(trial: Trial) -> None:
-            ended = f"falls after {trial.stood_s:.2f} s" if trial.reason else "stands"
+            ended = f"ends after {trial.stood_s:.2f} s" if trial.reason else "stands"
             print_note(f"{trial.contract or 'rehearsal'}: {ended}")
 
         found = rehearse_policy(network, contract, motion, said)

@@ -7,7 +7,6 @@ of the right one: where the motion is tracked perfectly, joints, velocities and 
 from __future__ import annotations
 
 import logging
-import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -57,15 +56,17 @@ class Trial(Record, frozen=True):
 
     Attributes:
         contract: what differs from the contract of the files; "" for nothing.
-        stood_s: time from the start of PLAY to the fall or the end, s.
+        stood_s: time from the start of PLAY to the end, s; 0 without PLAY.
         reason: why it ended early; "" if the robot stood to the end.
-        rmse_rad: RMSE of all joints, rad; None if the contract cannot be played.
+        rmse_rad: RMSE of all joints, rad; None without PLAY.
+        playable: whether the contract can be played.
     """
 
     contract: str
     stood_s: float
     reason: str
     rmse_rad: float | None = None
+    playable: bool = True
 
 
 class Rehearsal(Record, frozen=True):
@@ -106,16 +107,16 @@ class Rehearsal(Record, frozen=True):
         stand = f"with {self.stand_s:g} s of standing before and after the motion"
         texts = [f"stands to the end, {self.tried_s:.1f} s, {stand}"]
         if self.own.reason:
-            texts = [f"falls after {self.own.stood_s:.2f} of {self.tried_s:.1f} s, {stand}"]
+            texts = [f"ends after {self.own.stood_s:.2f} of {self.tried_s:.1f} s, {stand}"]
             texts.append(self.own.reason)
         if self.longer:
             advice = ": give --stand 0.5" if self.stands else ""
-            text = f"with the default --stand it falls after {self.longer.stood_s:.2f} s{advice}"
+            text = f"with the default --stand it ends after {self.longer.stood_s:.2f} s{advice}"
             texts.append(text)
         rows = [["contract", "stood, s", "RMSE, rad", ""]]
         for one in (self.own, *self.near):
             rmse = "" if one.rmse_rad is None else f"{one.rmse_rad:.3f}"
-            ended = "falls" if one.rmse_rad else "cannot be played"
+            ended = "ends early" if one.playable else "cannot be played"
             ended = ended if one.reason else "stands to the end"
             rows.append([one.contract or "as it is", f"{one.stood_s:.2f}", rmse, ended])
         lines = [labelled("rehearsal       ", text) for text in texts]
@@ -146,14 +147,14 @@ def rehearse_policy(
     default, near = Config().stream.stand, []
     with TemporaryDirectory() as folder:
         copy = Path(folder) / network.path.name
-        for file in (network.path, network.path.with_name(f"{network.path.name}.data")):
-            if file.exists():
-                shutil.copyfile(file, copy.with_name(file.name))
+        for file in network.path.absolute().parent.iterdir():  # external data have any name
+            if file.name != beside(copy).name:
+                copy.with_name(file.name).symlink_to(file)
 
         def tried(about: str, changed: PolicyContract, stand: float) -> tuple[Trial, float]:
             beside(copy).write_text(changed.toml(), encoding="utf-8")
             config = Config(stream=StreamConfig(policy=str(copy)))
-            summary = _rehearse(motion, config, stand)
+            summary = _rehearse(motion, config, stand, config.stream.rehearse)
             ended, followed = summary.termination, summary.tracking
             trial = Trial(
                 contract=about,
@@ -173,7 +174,9 @@ def rehearse_policy(
                 try:
                     near.append(tried(about, contract.model_copy(update=changes), stand)[0])
                 except G1StreamError as error:
-                    near.append(Trial(contract=about, stood_s=0.0, reason=str(error)))
+                    near.append(
+                        Trial(contract=about, stood_s=0.0, reason=str(error), playable=False)
+                    )
     return Rehearsal(
         tried_s=length,
         stand_s=stand,
@@ -190,12 +193,12 @@ def require_standing(motion: Motion, config: Config) -> None:
         SafetyError: the robot falls, and `stream.beyond_limits` is not "anyway".
     """
     settings = config.stream
-    _LOGGER.info("rehearsal: %g s in the simulator", settings.rehearse)
-    reason = _rehearse(motion, config, _BRIEFLY).termination.reason
+    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
+    _LOGGER.info("rehearsal: %g s in the simulator", seconds)
+    reason = _rehearse(motion, config, _BRIEFLY, seconds).termination.reason
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
-            f"The policy does not play {settings.rehearse:g} s of the motion in the simulator: "
-            f"{reason}.",
+            f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
             "Check its inputs with `g1stream policy POLICY --motion MOTION`, or give --anyway to "
             "stream it nevertheless.",
         )
@@ -203,11 +206,9 @@ def require_standing(motion: Motion, config: Config) -> None:
         _LOGGER.warning("rehearsal: %s", reason)
 
 
-def _rehearse(motion: Motion, config: Config, stand: float) -> Summary:
-    """Play the first `stream.rehearse` seconds of a motion in lockstep, without events."""
-    settings = config.stream
-    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
-    brief = settings.model_copy(update={"stand": stand, "ramp": 1.0, "hold": 0.0})
+def _rehearse(motion: Motion, config: Config, stand: float, seconds: float) -> Summary:
+    """Play the first seconds of a motion in lockstep, without events."""
+    brief = config.stream.model_copy(update={"stand": stand, "ramp": 1.0, "hold": 0.0})
     with _unlogged():
         session = rollout(
             motion, config=config.model_copy(update={"stream": brief}), seconds=seconds

@@ -170,7 +170,7 @@ class PolicyTargets(Source):
                 f"The simulator holds the robot ({announced}), but a policy needs it on its feet.",
                 "Start it with --support free.",
             )
-        for doubt in self.contract.doubts:
+        for doubt in self.contract.doubts(self._robot):
             _LOGGER.warning("policy: %s", doubt)
         self._lowered_by_bridge = announced == "free"
         return Mode(None, "free", self._robot.name)
@@ -251,7 +251,7 @@ class PolicyTargets(Source):
             if time < begin + _FALLING or time > end + _BLEND:
                 self._fall += f", while it stands {'after' if time > end else 'before'} the motion"
                 if time > _SOON and self._settings.stand > _SOON:
-                    self._fall += "; give a shorter --stand, such as 0.5"
+                    self._fall += "; a shorter --stand may prevent it"
 
     def _state(self, moment: Moment) -> RobotState:
         measured, imu = moment.measured, moment.measured.imu

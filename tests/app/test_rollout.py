@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
+from g1stream.analysis.summarise import find_problems
 from g1stream.app.rollout import LATENCY, rollout
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config, load_config
@@ -124,6 +125,22 @@ def test_a_robot_that_falls_is_one_problem_with_one_remedy(tmp_path, recorded):
     assert summary.stream.stop == "tilt"
     (problem,) = summary.problems
     assert problem.endswith(REMEDIES["tilt"])
+
+
+def test_joints_that_do_not_follow_are_a_problem_unless_a_policy_plays():
+    weak = load_config(over={"gains.kp": {"*": 1.0}, "gains.kd": {"*": 0.1}})
+    session = rollout("demo", seconds=3.0, config=weak)
+    summary, states = session.summary(), session.measured
+    play = next(one for one in session.phases if one.phase is Phase.PLAY)
+    inside = (states.time >= play.start_s) & (states.time <= play.end_s)
+    times, reference = states.time[inside], session.reference
+    asked = [np.interp(times, reference.time, q) for q in reference.q.T]
+    rmse = np.sqrt(np.mean((np.array(asked) - states.q[inside].T) ** 2, axis=1))
+    (problem,) = summary.problems
+    assert problem.startswith(f"{(rmse > 0.3).sum()} joints ")
+    assert JOINT_NAMES[rmse.argmax()] in problem
+    summary.settings = {"stream.policy": "policy.onnx"}
+    assert [*find_problems(summary)] == []
 
 
 def test_a_simulated_robot_needs_no_remote_and_no_kind():

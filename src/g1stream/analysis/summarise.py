@@ -79,6 +79,8 @@ _MOST_SKIPPED: Final = 0.01
 _SLOW_SIMULATOR: Final = 0.8
 #: Time by which joints may seem to be ahead of their commands, s; feed-forward may overshoot.
 _IMPOSSIBLE: Final = 0.005
+#: RMSE of a joint that does not follow, rad. The profile robot stops at such an error.
+_FAR: Final = 0.3
 #: A stop or jump of the robot's time by this, s, changes the controller's task.
 _STALL: Final = 0.04
 #: A recording that goes on for this long after the last reference did not just end first, ns.
@@ -276,6 +278,14 @@ def find_problems(summary: Summary) -> Iterator[str]:
         if stats.clock_steps:
             set_by = ", ".join(f"{step.step_ns / 1e9:+.3f}" for step in stats.clock_steps)
             yield f"The clock of the publisher of {topic} was set by {set_by} s."
+    tracking, policy = summary.tracking, (summary.settings or {}).get("stream.policy")
+    joints = tracking.joints if tracking and not policy else {}  # a policy may leave the motion
+    if far := {name: one.rmse_rad for name, one in joints.items() if one.rmse_rad > _FAR}:
+        worst = max(far, key=far.__getitem__)
+        yield (
+            f"{counted(len(far), 'joint')} did not follow the reference: RMSE above {_FAR:g} rad, "
+            f"{worst} {far[worst]:.2f} rad. {REMEDIES['tracking']}"
+        )
     if ahead := _ahead_of_commands(summary):
         yield (
             f"The joints move {ahead * 1e3:.1f} ms before their commands are sent, which is "

@@ -73,6 +73,18 @@ def with_delay(delay, ci95=0.0003, **more):
     return TRACKING.model_copy(update={"all_joints": errors, **more})
 
 
+def test_a_delay_with_a_wide_interval_is_unknown():
+    def told(ci95):
+        text = str(
+            Summary(tracking=with_delay(0.0618, ci95), topics={"/scene": MessageStats(count=1)})
+        )
+        (line,) = (one for one in text.splitlines() if one.startswith("delay"))
+        return line
+
+    assert "unknown" in told(0.074)
+    assert "unknown" not in told(0.0003)
+
+
 LATENCY = Percentiles(p50=151.2, p99=340.0, p99_9=512.0, max=12_345.6)
 RECORDED = Summary(
     files_bytes={"demo-out/session_0.mcap": 8_000_000, "demo-out/session_1.mcap": 4_345_678},

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.analysis.signals import chosen_quantities, min_max, signal
-from g1stream.analysis.tracking import NothingToCompareError, tracking
+from g1stream.analysis.tracking import UNSURE, NothingToCompareError, tracking
 from g1stream.errors import RecordingError
 from g1stream.files import save_figure
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
@@ -207,10 +207,13 @@ def _draw_head(figure: Figure, session: Recording, tracking: Tracking | None) ->
     facts = [session.path.name, "no state in PLAY: nothing to compare"]
     if tracking:
         n, delay = len(tracking.joints), tracking.delay
+        if delay and (delay.ci95 or 0.0) > UNSURE:
+            delay = None
+        sure = f" ± {delay.ci95 * 1e3:.1f}" if delay and delay.ci95 else ""
         facts[1:] = [
             f"RMSE {np.degrees(tracking.overall):.2f}° over "
             + ("all joints" if n == N_JOINTS else f"{n} joints"),
-            *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
+            *([f"tracking delay {delay.seconds * 1e3:.1f}{sure} ms"] if delay else []),
             f"{counted(len(tracking.time), 'state')} compared over {tracking.duration:.1f} s",
         ]
     if stream and stream.reason:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import computed_field
 
 from g1stream.analysis.body import TerminationMetrics
-from g1stream.analysis.tracking import TrackingSummary
+from g1stream.analysis.tracking import UNSURE, TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
     AttachedInfo,
@@ -581,12 +581,13 @@ def _delay(summary: Summary, tracking: TrackingSummary) -> str:
     if attached and attached.by_robot:
         return "unknown: the robot's own joints gave the start of the motion"
     if delay is None:
-        if not summary.topics:
-            return "only computed for recordings: give --record"
-        return "unknown: too little movement, or no delay explains the error"
+        missing = "unknown: too little movement, or no delay explains the error"
+        return missing if summary.topics else "only computed for recordings: give --record"
     sure = " (no 95 % interval: less than 5 s were compared)"
     if within is not None:
         sure = f" (95 %: ±{within * 1e3:.2g} ms)"
+        if within > UNSURE:
+            return f"unknown: {_late(delay, 'the reference')} fits best{sure}"
     if attached and preview is None:
         return f"the robot is {_late(delay, 'its commands')}{sure}"
     if not preview:

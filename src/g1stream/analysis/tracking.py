@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from g1stream.session.recording import Recording
 
 __all__ = [
+    "UNSURE",
     "Delay",
     "ErrorStats",
     "JointErrors",
@@ -450,6 +451,10 @@ def rms(errors: Floats) -> Floats:
     """Root mean square over the first axis."""
     found: Floats = np.sqrt(np.mean(np.square(errors), axis=0))
     return found
+
+
+UNSURE: Final = 0.02
+"""A delay is unknown if its 95 % confidence interval reaches further than this, s."""
 
 
 class Delay(NamedTuple):

@@ -38,11 +38,12 @@ _LOOK: Final = "Look at this joint in the recording, and at the motion with `g1s
 REMEDIES: Final[dict[StopKind, str]] = {
     "state": "`g1stream doctor` looks for the cause; a simulator needs free CPUs.",
     "robot": "`g1stream doctor` tells what the robot reports; --robot names another kind of G1.",
-    "tilt": "Set the robot up again, held. For one that only swings, raise safety.max_tilt.",
+    "tilt": "Set it up again, held: alone it falls, unless the stream keeps it upright "
+    "(`g1stream stream --help`). For one that only swings, raise safety.max_tilt.",
     "speed": _LOOK,
     "torque": _LOOK,
     "tracking": "Check the gains, and the motion with `g1stream physics`.",
-    "jam": "Check that the joint is free and that its motor is on.",
+    "jam": "Check the joint's kp, that the joint is free, and that its motor is on.",
     "motor": "Switch the robot off and on; Unitree's app shows the state of its motors.",
     "temperature": "Let the motor cool down.",
     "voltage": "Charge or change the battery.",

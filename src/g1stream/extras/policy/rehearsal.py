@@ -120,6 +120,9 @@ class Rehearsal(Record, frozen=True):
             ended = ended if one.reason else "stands to the end"
             rows.append([one.contract or "as it is", f"{one.stood_s:.2f}", rmse, ended])
         lines = [labelled("rehearsal       ", text) for text in texts]
+        if self.near and not self.stands and not self.near[0].reason:
+            best = f"it stands with {self.near[0].contract}: check these facts"
+            lines.append(labelled(" " * 16, best))
         return "\n".join([*lines, "", *table(rows, {0, 3})])
 
 

@@ -278,8 +278,8 @@ def find_problems(summary: Summary) -> Iterator[str]:
         if stats.clock_steps:
             set_by = ", ".join(f"{step.step_ns / 1e9:+.3f}" for step in stats.clock_steps)
             yield f"The clock of the publisher of {topic} was set by {set_by} s."
-    tracking, policy = summary.tracking, (summary.settings or {}).get("stream.policy")
-    joints = tracking.joints if tracking and not policy else {}  # a policy may leave the motion
+    tracking = None if summary.by_policy else summary.tracking  # a policy may leave the motion
+    joints = tracking.joints if tracking else {}
     if far := {name: one.rmse_rad for name, one in joints.items() if one.rmse_rad > _FAR}:
         worst = max(far, key=far.__getitem__)
         yield (
@@ -302,7 +302,7 @@ def _ahead_of_commands(summary: Summary) -> float:
     if not tracking or tracking.all_joints.delay_s is None or (attached and attached.by_robot):
         return 0.0
     preview = summary.stream and summary.stream.preview_s
-    if (preview is None and not attached) or (summary.settings or {}).get("stream.policy"):
+    if (preview is None and not attached) or summary.by_policy:
         return 0.0
     ahead = -tracking.all_joints.delay_s - (preview or 0.0)
     return ahead if ahead > _IMPOSSIBLE else 0.0

@@ -219,9 +219,13 @@ class Summary(Record):
 
         With a policy the motion has been cut, and has standing before and after it.
         """
-        settings = self.settings or {}
-        asked = None if settings.get("stream.policy") else settings.get("stream.duration")
+        asked = None if self.by_policy else (self.settings or {}).get("stream.duration")
         return float(asked) if isinstance(asked, (int, float)) else None
+
+    @property
+    def by_policy(self) -> bool:
+        """Whether the stream's targets were those of a policy, not the motion."""
+        return bool((self.settings or {}).get("stream.policy"))
 
     @property
     def moves(self) -> bool:

@@ -87,12 +87,12 @@ def copied(session, metadata, edit=lambda topic, i, message: message.data):
     return g1stream.Session(source)
 
 
-def changed(session, act):
-    """A copy of a session whose messages on /policy `act` has changed in place."""
-    step = PolicyStep()
+def changed(session, act, topic="/policy", step=None):
+    """A copy of a session whose messages on a topic `act` has changed in place, or left out."""
+    step = step or PolicyStep()
 
-    def edit(topic, i, message):
-        if topic != "/policy":
+    def edit(of, i, message):
+        if of != topic:
             return message.data
         step.load(message.data)
         return None if act(i, step) is False else step.tobytes()
@@ -206,16 +206,12 @@ def test_the_recorded_observations_give_the_recorded_actions(falling, capsys):
 
 def sent_otherwise(session, act):
     """A copy of a session whose commands `act` has changed in place."""
-    command = LowCmd()
 
-    def edit(topic, i, message):
-        if topic != "/lowcmd":
-            return message.data
-        command.load(message.data)
+    def sealed(_, command):
         act(command)
-        return command.seal()
+        command.seal()
 
-    return copied(session, session.metadata, edit)
+    return changed(session, sealed, "/lowcmd", LowCmd())
 
 
 def test_the_commands_are_those_of_the_policy(falling):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json, print_lines
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_result
 from g1stream.cli.flags import flag
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
@@ -87,13 +87,8 @@ class FitParameters(SettingsCommand):
                 support=self.support,
                 progress=partial(progress, "fit"),
             )
-        written = None
+        text = str(fit)
         if self.out is not None and not fit.refusal:
-            written = fit.save(self.out, force=self.force)
-        if self.json:
-            print_json(fit.model_dump(mode="json"))
-        else:
-            print_lines(str(fit))
-            if written:
-                print_lines(f"\nwritten to {written}")
+            text += f"\n\nwritten to {fit.save(self.out, force=self.force)}"
+        print_result(fit.model_dump(mode="json"), text, as_json=self.json)
         return EXIT_STOPPED if fit.refusal else EXIT_OK

@@ -434,14 +434,11 @@ def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
 def _check_joints(names: list[str], n_actions: int, where: str) -> None:
     strange = [name for name in names if name not in JOINT_NAMES]
     if strange or len({*names}) != len(names) or len(names) != n_actions:
-        ours = f"names {counted(len({*names}), 'joint')} but has {counted(n_actions, 'action')}"
+        wrong = f"names {counted(len({*names}), 'joint')} but has {counted(n_actions, 'action')}"
+        if strange:
+            wrong = f"is for another robot: a G1 has no {listed(strange, 3)}"
         raise ConfigError(
-            f"{where[0].upper()}{where[1:]} "
-            + (
-                f"is for another robot: a G1 has no {listed(strange, 3)}."
-                if strange
-                else f"{ours}."
-            ),
+            f"{where[0].upper()}{where[1:]} {wrong}.",
             f"Give one action for each joint, and each of a G1's {N_JOINTS} joints at most once.",
         )
 

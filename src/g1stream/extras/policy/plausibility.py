@@ -77,15 +77,18 @@ def refuse_implausible(
         )
     for what in ("kp", "kd", "action_scale", "default_pos"):
         given = _by_motor(np.abs(values[what]), names)
-        orders = {order: [name for name in of if name in names] for order, of in ORDERS.items()}
-        there = {order: _by_motor(np.abs(values[what]), of) for order, of in orders.items()}
+        if not len(uneven := _uneven(given)):
+            continue
+        there = {
+            order: _by_motor(np.abs(values[what]), [name for name in of if name in names])
+            for order, of in ORDERS.items()
+        }
         even = [
             order
             for order, of in there.items()
             if not len(_uneven(of)) and np.sum((of > _NOISE) & _IN_PAIRS) >= 2 * _PAIRS
         ]
-        uneven = _uneven(given)
-        if not len(uneven) or (what == "default_pos" and not even):  # a pose may be uneven
+        if what == "default_pos" and not even:  # a pose may be uneven
             continue
         at, other = uneven[0], MIRRORED_JOINT[uneven[0]]
         raise ConfigError(

@@ -21,8 +21,10 @@ from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from g1stream.extras.policy.contract import PolicyContract
+    from g1stream.extras.policy.golden import GoldenRun
     from g1stream.extras.policy.network import Network
     from g1stream.extras.policy.rehearsal import Rehearsal
+    from g1stream.extras.policy.replay import PolicyReplay
     from g1stream.motion.motion import Motion
 
 
@@ -102,10 +104,7 @@ class Policy(Command):
         from g1stream.app.session import open_session
         from g1stream.extras.policy.replay import replay_policy
 
-        found = replay_policy(open_session(path), self.file)
-        about = found.model_dump(mode="json") | {"same": found.same}
-        print_result(about, str(found), as_json=self.json)
-        return EXIT_OK if found.same else EXIT_STOPPED
+        return self._compared(replay_policy(open_session(path), self.file))
 
     def _show(self, file: str) -> int:
         from g1stream.extras.policy.contract import read_contract
@@ -127,7 +126,9 @@ class Policy(Command):
             motion = load_motion(network.path if self.motion == file else self.motion)
             print_warning(*motion.warnings)
         if self.golden:
-            return self._compare(network, contract, motion)
+            from g1stream.extras.policy.golden import compare_golden
+
+            return self._compared(compare_golden(Path(self.golden), network, contract, motion))
         found = self._rehearse(network, contract, motion) if motion else None
         if self.json:
             told: dict[str, Any] = {"doubts": doubts, "rehearsal": None}
@@ -137,14 +138,9 @@ class Policy(Command):
             print_json(contract.model_dump(mode="json") | told)
         return EXIT_STOPPED if found and not found.stands else EXIT_OK
 
-    def _compare(self, network: Network, contract: PolicyContract, motion: Motion | None) -> int:
-        from g1stream.extras.policy.golden import compare_golden
-
-        found = compare_golden(Path(self.golden or ""), network, contract, motion)
-        if self.json:
-            print_json(found.model_dump(mode="json") | {"same": found.same})
-        else:
-            print_lines(str(found))
+    def _compared(self, found: GoldenRun | PolicyReplay) -> int:
+        about = found.model_dump(mode="json") | {"same": found.same}
+        print_result(about, str(found), as_json=self.json)
         return EXIT_OK if found.same else EXIT_STOPPED
 
     def _rehearse(self, network: Network, contract: PolicyContract, motion: Motion) -> Rehearsal:

@@ -272,4 +272,5 @@ def slight_changes(contract: PolicyContract) -> Iterator[tuple[str, Changes]]:
     if contract.anchor:
         other = "pelvis" if contract.anchor == "torso_link" else "torso_link"
         yield f"anchor {other}", {"anchor": other}
-    yield f"lag {(lag := 0 if contract.lag else 1)}", {"lag": lag}
+    lag = 0 if contract.lag else 1
+    yield f"lag {lag}", {"lag": lag}

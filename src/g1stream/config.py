@@ -224,6 +224,14 @@ class StreamConfig(Table):
         le=86_400.0,
     )
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
+    wait_for: str | None = setting(
+        None,
+        "what the next of several motions waits for, while the robot rests, and with a policy "
+        "stands: enter (the key), or a button of the remote, such as A or R1+A",
+        flag=PLAY_FLAG,
+        metavar="EVENT",
+        example="enter",
+    )
     via: Via = setting(
         "lowcmd",
         "receiver of the commands; lowcmd: the motors; arm_sdk: the robot's own controller, which "

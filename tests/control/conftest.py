@@ -163,7 +163,8 @@ def make_loop(clock, link, trajectory, robot, timing):
         targets = targets or Targets(trajectory, start=0.0, moved=robot.present)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
-        schedule = Schedule(targets, timing, 2 * MS)
+        rests = other.pop("rests", ())
+        schedule = Schedule(targets, timing, 2 * MS, rests=rests)
         velocity = load_config(over={"stream.feedforward": "velocity"})
         source = Source(velocity, robot, simulated=True)
         plain = FeedForward(source, limit=np.full(29, 50.0), period=0.002)
@@ -185,7 +186,9 @@ def make_loop(clock, link, trajectory, robot, timing):
             "clock": clock,
             "schedule": schedule,
             "commands": commands,
-            "checks": LowStateChecks(robot, robot.present, safety, constants),
+            "checks": LowStateChecks(
+                robot, robot.present, safety, constants, wait_for=other.get("wait_for")
+            ),
             "overruns": Overruns(2 * MS, safety, constants),
             "period": 2 * MS,
         }

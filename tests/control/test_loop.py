@@ -265,3 +265,41 @@ def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loo
     assert resting[0] == pytest.approx(first.q, abs=1e-6)
     assert not any(sent.reference.dq.any() for sent in link.sent[RAMP + 2 : 200])
     assert (logging.INFO, f"RAMP waits: {Awaiting.awaited}") in events()
+
+
+@pytest.fixture
+def motion_times(link):
+    """Gives the motion times of all References in PLAY, s."""
+    return lambda: np.array([float(one.reference.motion_time) for one in link.in_phase(Phase.PLAY)])
+
+
+def test_a_motion_rests_until_the_operator_lets_it_go_on(make_loop, link, events, motion_times):
+    """A call before the rest does not count, and a rest takes no time of the motion."""
+    loop = make_loop(rests=[200 * MS, 300 * MS])
+    link.on_send = lambda n: n in (RAMP + 20, 400, 700) and loop.go_on()
+    report = loop.run()
+    times = motion_times()
+    counts = [int((np.abs(times - at) < 1e-9).sum()) for at in (0.2, 0.3)]
+    assert counts == pytest.approx([400 - RAMP - 100, 700 - 400 - 50], abs=3)
+    assert np.unique(times.round(9)) == pytest.approx(np.arange(PLAY) * 0.002)
+    assert (np.diff(times) >= 0.0).all()
+    assert (report.played, link.phases()["HOLD"]) == (PLAY * PERIOD, HOLD)
+    said = [text.split()[1] for _, text in events() if text.startswith("PLAY ")]
+    assert said == ["waits", "goes", "waits", "goes", "->"]
+
+
+def test_a_button_lets_the_motion_go_on(make_loop, link, motion_times):
+    def hold(n):  # A, from before the rest on, and again
+        link.robot.wireless_remote[3] = RAMP + 10 < n < 400 or n > 500
+
+    link.on_send = hold
+    make_loop(rests=[200 * MS], wait_for="A").run()
+    found = int((np.abs(motion_times() - 0.2) < 1e-9).sum())
+    assert found == pytest.approx(500 - RAMP - 100, abs=3)
+
+
+def test_a_resting_motion_can_be_ended(make_loop, link):
+    loop = make_loop(rests=[200 * MS])
+    link.at_send(RAMP + 200, lambda: loop.request_stop("enough"))
+    assert loop.run().stop.text == "enough"
+    link.assert_damped()

@@ -9,7 +9,7 @@ from g1stream.config import Config
 from g1stream.control.gains import Gains
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
-from g1stream.control.sources import SOURCES, HeldTorques, Source, Status, Traits
+from g1stream.control.sources import SOURCES, Changed, HeldTorques, Source, Status, Traits
 from g1stream.errors import ConfigError, MotionError
 from g1stream.types import Phase
 
@@ -36,7 +36,7 @@ class Policy(Source):
     def prepare(self, motion):
         if motion.fps > 50.0:
             raise MotionError("It is too fast.", "Slow it.")
-        return replace(motion, name="changed"), "as the policy knows it"
+        return Changed(replace(motion, name="changed"), "as the policy knows it")
 
     def command(self, moment):
         self.seen.append(moment.phase)

@@ -50,7 +50,18 @@ def test_a_dead_man_switch_is_waited_for_and_stops_when_released():
     assert "R1" in operator.stop_reason(0)
 
 
+def test_a_resting_motion_goes_on_once_each_time_the_button_is_pressed():
+    operator = Operator((), None, "R1+A")
+    pressed = ((), ("A",), ("A", "R1"), ("A", "R1", "up"), ("R1",), ("A", "R1"))
+    found = [operator.goes_on(bits(*one)) for one in pressed]
+    assert found == [False, False, True, False, False, True]
+    for other in (None, "enter"):
+        assert not any(Operator((), None, other).goes_on(bits(*one)) for one in pressed)
+
+
 def test_an_unknown_button_is_refused():
+    with pytest.raises(ConfigError, match=r"stream\.wait_for = 'Enter'.*'Enter'"):
+        Operator((), None, "Enter")
     with pytest.raises(ConfigError, match=r"safety\.deadman = 'R1\+Z'.*'Z'"):
         Operator((), "R1+Z")
     with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):

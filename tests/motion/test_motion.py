@@ -223,6 +223,22 @@ def test_each_repetition_goes_on_from_the_one_before(demo):
         assert (np.sum(found.root_quat_wxyz[1:] * found.root_quat_wxyz[:-1], axis=1) > 0).all()
 
 
+def test_a_joined_motion_is_split_where_it_was_joined(demo, walk):
+    joined, parts = walk.then(demo.mirrored(), 0.5).looped(2), (walk, demo.mirrored()) * 2
+    found = joined.split()
+    assert [one.name for one in found] == [walk.name, "demo"] * 2
+    assert [one.operations for one in found[:2]] == [(), ("mirrored",)]
+    for one, other in zip(found, parts, strict=True):
+        np.testing.assert_array_equal(one.joint_pos, other.joint_pos)
+    for one, other in zip(joined.resample(60.0).split(), parts, strict=True):
+        assert (one.fps, one.duration) == (60.0, pytest.approx(other.duration, abs=1 / 30))
+    assert demo.split()[0].content_sha256 == demo.content_sha256
+    assert [one.n_frames for one in demo.then(demo, 0.0).trim(0, demo.duration + 1).split()] == [
+        demo.n_frames,
+        30,
+    ]
+
+
 def test_what_was_done_is_said(demo):
     both = demo.trim(1, 5).mirrored().then(demo.at_speed(2), blend=0.5)
     assert both.name == "demo+demo"

@@ -7,6 +7,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, get_args
@@ -74,7 +75,8 @@ def rollout(
         feedforward: what commands contain beside positions; if None `config.stream.feedforward`,
             by default dynamics, and velocity for support "free".
         config: all settings; the defaults if None. `dds`, `realtime`, `safety.deadman` and
-            `safety.mode_machine` have no effect.
+            `safety.mode_machine` have no effect. With `stream.wait_for` the motion goes on by
+            itself after each rest.
         seconds: how much of the motion to play; `config.stream.duration` if None.
         joints: joints that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: support that the simulated robot announces, if it shall differ from the real one.
@@ -101,6 +103,7 @@ def rollout(
         feedforward = feedforward or config.stream.feedforward or "dynamics"
     config = _resolve(config, support, feedforward, seconds, joints, {"kp": kp, "kd": kd})
     planned = plan(default_motion(config) if motion is None else motion, config, simulated=True)
+    planned = replace(planned, rests=())  # nobody can tell it to go on
     robot = planned.robot
     pipeline = MessagePipeline(robot, config.record, planned.source.traits.about)
     simulated = SimulatedRobot(

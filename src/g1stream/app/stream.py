@@ -21,7 +21,7 @@ from g1stream.control.wire_settings import for_wire
 from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.errors import G1StreamError, SafetyError, WireError
+from g1stream.errors import ConfigError, G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import check_output_path
 from g1stream.network import is_local_only
@@ -102,6 +102,11 @@ def stream(
             motion = load_motion(motion)  # once for both
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
+        if config.stream.wait_for and not planned.rests:
+            raise ConfigError(
+                f"There is one motion, so nothing waits for {config.stream.wait_for}.",
+                "Give several motions, or remove --wait-for.",
+            )
         if config.stream.policy and config.stream.rehearse:
             extension("rehearse_policy")(motion, config)
         confirm_arming(participant, planned, arm)

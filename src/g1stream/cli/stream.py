@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from g1stream.cli.command import (
@@ -105,6 +107,15 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
         yield prepare
 
 
+def _go_on_by_key(loop: StreamLoop) -> None:
+    """Let a resting motion go on at each line of standard input; end the loop after the last."""
+    # Unbuffered, because a thread that waits with the lock of a buffer would not let Python exit.
+    while text := os.read(sys.stdin.fileno(), 1024):
+        if b"\n" in text:
+            loop.go_on()
+    loop.request_stop("standard input has ended, so nobody can press Enter")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stream(LiveCommand, MotionFlags):
     """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
@@ -189,6 +200,12 @@ class Stream(LiveCommand, MotionFlags):
         motion = self.load(self.motions or [default_motion(config)], G1.of_config(config))
         print_warning(*motion.warnings)
         announce_wire(config)
+
+        def on_loop(loop: StreamLoop) -> None:
+            prepare(loop, motion)
+            if config.stream.wait_for == "enter":
+                Thread(target=_go_on_by_key, args=(loop,), daemon=True).start()
+
         with self.serving(config), playing() as prepare:
             summary = stream(
                 motion,
@@ -196,7 +213,7 @@ class Stream(LiveCommand, MotionFlags):
                 record=self.record,
                 force=self.force,
                 arm=partial(may_arm, yes=self.yes) if self.arm else None,
-                on_loop=lambda loop: prepare(loop, motion),
+                on_loop=on_loop,
             )
         print_summary(summary, as_json=self.json)
         return exit_code(summary)

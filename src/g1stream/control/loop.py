@@ -63,6 +63,7 @@ class StreamLoop:
         overruns: counts the ticks that the loop misses.
         period: time between commands, ns.
         allow_second_writer: play even if there is another publisher of LowCmd.
+        wait_for: event after which a resting motion goes on, for log messages.
         where: DDS domain and network of the robot, for log messages.
 
     Attributes:
@@ -82,6 +83,7 @@ class StreamLoop:
         *,
         period: int,
         allow_second_writer: bool = False,
+        wait_for: str | None = None,
         where: str = "",
     ) -> None:
         self._link = link
@@ -98,6 +100,8 @@ class StreamLoop:
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
         self._where, self._next_wait_log = where, _FIRST_WAIT_LOG
+        self._wait_for, self._rests = wait_for, False
+        self._gone_on = self._to_go_on = 0
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
@@ -146,6 +150,10 @@ class StreamLoop:
             asked = reason if isinstance(reason, Stop) else Stop("requested", reason)
             self._requested = asked
         self.stop_requests += 1
+
+    def go_on(self) -> None:
+        """End the present rest of the motion; can be called from another thread."""
+        self._to_go_on += 1
 
     def end_for_error(self, stop: Stop) -> None:
         """Request a stop, unless one is requested; a second one would skip the way down."""
@@ -262,6 +270,8 @@ class StreamLoop:
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
         self.report.error.received(measured)
+        if self._checks.go_on:
+            self.go_on()
         moving = Phase.WAIT < self._commands.phase < Phase.DAMP
         self._robot_clock.take(measured, moving=moving)
 
@@ -295,11 +305,23 @@ class StreamLoop:
         elif self._robot_clock.followed and before.phase in (Phase.PLAY, Phase.HOLD):
             self._schedule.delay(self._robot_clock.wait(now))
             self.report.waited = self._robot_clock.delay
+        self._rest(deadline)
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
             self._enter_phase(before)
         elif self.state.phase is Phase.RAMP:
             self._commands.continue_soft_start(deadline, self._measured)
+
+    def _rest(self, now: int) -> None:
+        """Let the motion rest where it has to, until it is told to go on."""
+        rested, self._rests = self._rests, self._schedule.rest(now)
+        if self._rests and not rested:
+            self._gone_on = self._to_go_on  # what came earlier does not count
+            what = "Enter" if self._wait_for == "enter" else f"{self._wait_for} on the remote"
+            _LOGGER.info("PLAY waits at %.2f s: press %s", self.motion_time, what)
+        elif self._rests and self._to_go_on > self._gone_on:
+            self._schedule.go_on()
+            _LOGGER.info("PLAY goes on")
 
     def _replaced(self) -> Stop | None:
         """Why the run must end because the guard process has taken over, or None."""
@@ -429,7 +451,8 @@ def make_loop(
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
     start = plan.interval.start
     targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down)
-    schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
+    rests = [round(1e9 * (rest - start)) for rest in plan.rests if rest > start]
+    schedule = Schedule(targets, timing, period, config.constants.ramp_speed, rests)
     feedforward = FeedForward(
         plan.source,
         limit=robot.torque_limit * plan.held,
@@ -451,9 +474,12 @@ def make_loop(
             soft_start=0 if receiver.carries else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
-        LowStateChecks(robot, plan.held, config.safety, config.constants, period),
+        LowStateChecks(
+            robot, plan.held, config.safety, config.constants, period, settings.wait_for
+        ),
         Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
+        wait_for=settings.wait_for,
         where=f"domain {config.dds.domain} on {network_name(config.dds.interface)}",
     )

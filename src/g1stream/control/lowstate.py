@@ -59,6 +59,7 @@ class LowStateChecks:
         held: (29,) joints with a position servo.
         config, constants: the thresholds.
         period: time between two checks of LowState, ns.
+        wait_for: as `stream.wait_for`.
 
     Attributes:
         measured: the newest LowState with a right CRC; None before the first.
@@ -66,6 +67,7 @@ class LowStateChecks:
         missing: why the first command has to wait, for the operator or for more LowStates, or "".
         stop: why the session must end because of the newest LowState, or None; see `unknown` for a
             LowState that is not plausible.
+        go_on: the button of `wait_for` is pressed, and was not in the LowState before.
 
     Raises:
         ConfigError: a setting is not a button of the remote.
@@ -78,13 +80,15 @@ class LowStateChecks:
         config: SafetyConfig,
         constants: ProfileConstants,
         period: int = 0,
+        wait_for: str | None = None,
     ) -> None:
+        self.go_on = False
         self.measured: Reading | None = None
         self.crc_errors = 0
         self.missing = ""
         self.stop: Stop | None = None
         self._monitor = RobotMonitor(robot, held, config, constants, period)
-        self._operator = Operator(config.stop_buttons, config.deadman)
+        self._operator = Operator(config.stop_buttons, config.deadman, wait_for)
         self._config, self._constants = config, constants
         self._robot = robot
         self._allowed = robot.joint_set.allowed(config.mode_machine)
@@ -140,6 +144,7 @@ class LowStateChecks:
         if measured is None:
             return None
         buttons = state.buttons
+        self.go_on = self._operator.goes_on(buttons)
         seldom = _SELDOM if self._interval > LONGEST_INTERVAL else ""
         self.missing = self._operator.missing(buttons) or seldom
         if self.unknown(now, target):

@@ -13,6 +13,7 @@ from g1stream.control.combinations import require_combination
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.receiver import load_receiver
 from g1stream.control.sources import load_source
+from g1stream.errors import ConfigError
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
@@ -50,6 +51,7 @@ class Plan:
         held: (29,) joints with a position servo, which follow a target.
         commanded: (29,) motors that get commands; the slots of the others are 0.
         source: source of the torques or targets of commands.
+        rests: motion times, s, at which it rests and waits for `stream.wait_for`.
         events: log messages about the motion, with their levels.
     """
 
@@ -64,6 +66,7 @@ class Plan:
     held: NDArray[np.bool_]
     commanded: NDArray[np.bool_]
     source: Source = field(repr=False)
+    rests: tuple[float, ...] = ()
     events: tuple[tuple[int, str], ...] = ()
 
     @property
@@ -121,7 +124,12 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool) -> Pla
     source = load_source(config, robot, receiver.source, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    motion, changed = source.prepare(motion)
+    if settings.wait_for and settings.loop:
+        raise ConfigError(
+            "A looping motion has no next one that could wait for anything: stream.loop is true.",
+            "Remove stream.wait_for (--wait-for), or give the motions once.",
+        )
+    motion, how, rests = source.prepare(motion)
     asked, limited = config, not source.traits.makes_targets
     if not limited:
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
@@ -140,5 +148,6 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool) -> Pla
         held=held,
         commanded=commanded,
         source=source,
-        events=(*([(logging.INFO, changed)] if changed else []), *fit.events),
+        rests=tuple(fit.slowed * rest for rest in rests),
+        events=(*([(logging.INFO, how)] if how else []), *fit.events),
     )

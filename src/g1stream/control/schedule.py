@@ -20,6 +20,8 @@ from g1stream.control.targets import COAST_NS, Ramp, Timing
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -107,6 +109,7 @@ class Schedule:
         timing: length of each phase; for RAMP, the minimum.
         period: time between commands.
         ramp_speed: maximum joint speed on the way to the first frame, rad/s.
+        rests: times in PLAY at which the motion rests until it is told to go on, in order.
 
     Attributes:
         targets: as given.
@@ -117,11 +120,17 @@ class Schedule:
     """
 
     def __init__(
-        self, targets: Targets, timing: Timing, period: int, ramp_speed: float = inf
+        self,
+        targets: Targets,
+        timing: Timing,
+        period: int,
+        ramp_speed: float = inf,
+        rests: Sequence[int] = (),
     ) -> None:
         self.targets, self.timing = targets, timing
         self._period = period
         self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
+        self._rests = [*rests]
         self._logged = -_LOG_INTERVAL  # time in RAMP of the last log message about waiting
         self.state = PhaseState(Phase.WAIT, 0)
         self.delayed = 0
@@ -154,6 +163,19 @@ class Schedule:
             self._logged = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
         self.timing = replace(self.timing, awaited=longer)
+
+    def rest(self, now: int) -> bool:
+        """Stop the motion if it has reached the next rest, and return whether it rests."""
+        over = self.state.elapsed(now) - self._rests[0] if self._rests else -1
+        if self.state.phase is not Phase.PLAY or over < 0:
+            return False
+        # Unlike in `delay`, the time of the motion's clock goes on, by which a policy steps.
+        self.state = replace(self.state, since=self.state.since + over)
+        return True
+
+    def go_on(self) -> None:
+        """End the rest."""
+        del self._rests[0]
 
     def go_down(self, now: int, stop: Stop, last: Setpoint, *, stands: bool) -> bool:
         """End with the way down, as soon as it is possible; False if there is none.

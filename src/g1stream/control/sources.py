@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.session.records import PolicyInfo
 
-__all__ = ["SOURCES", "HeldTorques", "Mode", "Moment", "Source", "Status", "Traits", "load_source"]
+__all__ = [
+    "SOURCES",
+    "Changed",
+    "HeldTorques",
+    "Mode",
+    "Moment",
+    "Source",
+    "Status",
+    "Traits",
+    "load_source",
+]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -41,6 +51,10 @@ SOURCES: Final = {
 `stream.policy`.
 
 To add one, add a row."""
+
+
+#: Length of a rest between two motions, and time of the blends before and after it, s.
+_REST, _TO_REST = 0.5, 1.0
 
 
 class Moment(NamedTuple):
@@ -128,6 +142,20 @@ class Status(NamedTuple):
     margins: Mapping[str, float] = MappingProxyType({})
 
 
+class Changed(NamedTuple):
+    """A motion as a source can play it.
+
+    Attributes:
+        motion: the motion.
+        how: a sentence about the changes, or "".
+        rests: times, s, at which it has been at rest for a moment, and may wait.
+    """
+
+    motion: Motion
+    how: str = ""
+    rests: tuple[float, ...] = ()
+
+
 class Source:
     """Adds torque to the target of each command, or replaces it; the base class changes nothing.
 
@@ -143,18 +171,25 @@ class Source:
 
     def __init__(self, config: Config, robot: G1, *, simulated: bool) -> None:
         self._kind, self._support = config.stream.feedforward, config.stream.support
+        self._waits_for = config.stream.wait_for
 
-    def prepare(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> Changed:
         """Adapt the motion for this source, before its limits are checked.
 
-        Returns:
-            The motion as it can be played, and a sentence about the changes.
+        With `stream.wait_for`, it rests at the end of each of the joined motions but the last.
 
         Raises:
             ConfigError: the settings select a part that is not within the motion.
             MotionError: the motion cannot be played.
         """
-        return motion, ""
+        first, *later = motion.split() if self._waits_for else [motion]
+        rests = []
+        for other in later:
+            still = first.at_frames(np.full(round(_REST * first.fps) + 2, first.n_frames - 1))
+            first = first.then(still, _TO_REST)
+            rests.append(first.duration - _REST / 2.0)
+            first = first.then(other, _TO_REST)
+        return Changed(first, "", tuple(rests))
 
     def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
         """Subscribe to more than LowState, over DDS only.

@@ -59,19 +59,25 @@ def button_mask(combination: str, setting: str) -> int:
 
 
 class Operator:
-    """Evaluates the stop buttons and the deadman button of the remote.
+    """Evaluates the stop buttons, the deadman button and the go-on button of the remote.
 
     Args:
         stop_buttons: combinations of buttons, each of which ends the session.
         deadman: buttons that must be held while the robot moves; None: no deadman button.
+        wait_for: buttons with which a resting motion goes on; none if None or `enter`.
 
     Raises:
         ConfigError: a button does not exist.
     """
 
-    def __init__(self, stop_buttons: Sequence[str], deadman: str | None) -> None:
+    def __init__(
+        self, stop_buttons: Sequence[str], deadman: str | None, wait_for: str | None = None
+    ) -> None:
         self._stops = [(button_mask(one, "safety.stop_buttons"), one) for one in stop_buttons]
         self._deadman = deadman
+        by_button = wait_for and wait_for != "enter"
+        self._go_on = button_mask(wait_for or "", "stream.wait_for") if by_button else 0
+        self._pressed = False
         self._held = 0 if deadman is None else button_mask(deadman, "safety.deadman")
 
     def missing(self, buttons: int) -> str:
@@ -91,6 +97,11 @@ class Operator:
         if buttons & self._held != self._held:
             return f"{self._deadman} was released on the remote (safety.deadman)"
         return ""
+
+    def goes_on(self, buttons: int) -> bool:
+        """Whether the go-on button is pressed now, and was not in the last call."""
+        before, self._pressed = self._pressed, buttons & self._go_on == self._go_on
+        return bool(self._go_on) and self._pressed and not before
 
     def _stop(self, buttons: int) -> str:
         for mask, combination in self._stops:

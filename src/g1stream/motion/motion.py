@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.spline import TrajectoryPoint
-    from g1stream.types import Floats, MotionFormat, Velocities
+    from g1stream.types import Floats, Ints, MotionFormat, Velocities
 
 __all__ = [
     "DEFAULT_FPS",
@@ -82,6 +82,8 @@ _STANDS: Final = 0.25
 #: part of a quaternion is a pseudovector).
 _MIRROR: Final = np.array([1.0, -1.0, 1.0])
 _MIRROR_QUAT: Final = np.array([1.0, -1.0, 1.0, -1.0])
+#: Fields that say where a motion comes from.
+_ORIGIN: Final = ("name", "source", "sha256", "warnings", "operations")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,6 +103,7 @@ class Motion:
         warnings: what was assumed, not used, filled in or corrected when it was read.
         operations: changes to the motion in the file, in this order, such as `mirrored`.
         parts: the motions that were joined, in order; empty if it is not joined.
+        part_of: (T,) number of the joined motion of each frame; -1 in a blend. All 0 by default.
 
     Raises:
         MotionError: the shapes do not match, there is only one frame, a value is not finite or too
@@ -117,6 +120,7 @@ class Motion:
     warnings: tuple[str, ...] = ()
     operations: tuple[str, ...] = ()
     parts: tuple[Motion, ...] = ()
+    part_of: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     joint_names: ClassVar = JOINT_NAMES
 
     @classmethod
@@ -182,13 +186,15 @@ class Motion:
         quat = np.where(np.abs(norms - 1.0) <= 4.0 * np.finfo(float).eps, quat, quat / norms)
         set_field = object.__setattr__
         set_field(self, "fps", float(self.fps))
-        for field, values in (
+        part_of = self.part_of if len(self.part_of) == n_frames else np.zeros(n_frames, np.int64)
+        for name, values in (
             ("joint_pos", joint_pos),
             ("root_pos", root_pos),
             ("root_quat_wxyz", sign_continuous(quat)),
+            ("part_of", part_of),
         ):
             values.setflags(write=False)
-            set_field(self, field, values)
+            set_field(self, name, values)
 
     def __repr__(self) -> str:
         return (
@@ -238,7 +244,18 @@ class Motion:
             joint_pos=self.joint_pos[numbers],
             root_pos=self.root_pos[numbers],
             root_quat_wxyz=self.root_quat_wxyz[numbers],
+            part_of=self.part_of[numbers],
         )
+
+    def split(self) -> list[Motion]:
+        """The joined motions, without the blends between them, as they are in this motion."""
+        found, ends = [], np.flatnonzero(np.diff(self.part_of)) + 1
+        for frames in np.split(np.arange(self.n_frames), ends):
+            if (number := int(self.part_of[frames[0]])) >= 0 and len(frames) > 1:
+                of = self.parts[number % len(self.parts)] if self.parts else self
+                origin = {name: getattr(of, name) for name in _ORIGIN}
+                found.append(replace(self.at_frames(frames), parts=(), **origin))
+        return found
 
     def samples(
         self, rate: float, start: int, stop: int
@@ -293,10 +310,12 @@ class Motion:
         Raises:
             MotionError: `fps` is not positive, or leaves fewer than two frames.
         """
-        points = [point for _, point in self.samples(fps, 0, self.n_frames)]
+        numbers, points = zip(*self.samples(fps, 0, self.n_frames), strict=True)
+        times = np.concatenate(numbers) / fps
         return self._changed(
             f"resampled to {fps:g} fps",
             fps=fps,
+            part_of=self.part_of[np.rint(times * self.fps).astype(np.int64)],
             joint_pos=np.concatenate([point.joint_pos for point in points]),
             root_pos=np.concatenate([point.root_pos for point in points]),
             root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
@@ -433,6 +452,13 @@ class Motion:
             sha256=None,
             warnings=tuple(dict.fromkeys(self.warnings + other.warnings)),
             parts=(*(self.parts or (self,)), *(other.parts or (other,))),
+            part_of=np.concatenate(
+                [
+                    first.part_of,
+                    np.full(n_steps - 1, -1),
+                    np.where(second.part_of < 0, -1, second.part_of + first.part_of.max() + 1),
+                ]
+            ),
         )
 
     def looped(self, n: int, blend: float = 0.5) -> Motion:
@@ -460,6 +486,7 @@ class Motion:
             joint_pos=repeated.joint_pos,
             root_pos=repeated.root_pos,
             root_quat_wxyz=repeated.root_quat_wxyz,
+            part_of=repeated.part_of,
         )
 
     def save(

@@ -5,12 +5,15 @@ import onnx
 import pytest
 
 import g1stream
+from g1stream.app.sim import make_world
 from g1stream.config import load_config
 from g1stream.control.combinations import require_combination
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment
 from g1stream.control.targets import Setpoint
-from g1stream.dds.messages import SportModeState
+from g1stream.dds.messages import REFERENCE, Samples, SportModeState
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
@@ -23,6 +26,8 @@ from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul, tilt_of, yaw_of
 from g1stream.robot.soles import Soles
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import SimulatedRobot
 from g1stream.types import Phase
 from known_policies import DANCE, POLICIES, needs_policies, saved
 
@@ -203,7 +208,7 @@ def test_a_robot_falls_by_its_tilt_against_the_reference(driven, tilt, falls):
 def test_a_fall_while_the_robot_stands_says_so_and_to_stand_shorter(policy, stand, time, told):
     """The motion begins a second after the standing and takes 2 s."""
     source = PolicyTargets(settings(policy(), stand=stand), ROBOT)
-    trajectory = Trajectory(source.prepare(moving(2.0))[0])
+    trajectory = Trajectory(source.prepare(moving(2.0)).motion)
     it = Driven(source, Setpoint.from_point(time, trajectory.sample(time)))
     it.quat = quat_mul(it.quat, quat_from_rpy(np.array([0.0, 0.7, 0.0])))
     it.command()
@@ -214,7 +219,7 @@ def test_a_fall_while_the_robot_stands_says_so_and_to_stand_shorter(policy, stan
 def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     path = policy()
     source = PolicyTargets(settings(path, stand=2.0), ROBOT)
-    motion, _ = source.prepare(moving(2.0))
+    motion = source.prepare(moving(2.0)).motion
     still = np.full(29, 0.1)
     assert motion.duration == pytest.approx(2.0 + 1.0 + 2.0 + 1.0, abs=0.05)
     at = Trajectory(motion).sample
@@ -227,9 +232,49 @@ def test_a_motion_begins_and_ends_with_the_still_pose(policy):
     assert source.traits.makes_targets
 
 
+def test_between_motions_that_wait_it_stands(policy):
+    source = PolicyTargets(settings(policy(), stand=2.0, wait_for="enter"), ROBOT)
+    motion, _, rests = source.prepare(moving(2.0).then(moving(1.0).mirrored(), 0.5))
+    assert motion.duration == pytest.approx(2.0 + (1 + 2.0 + 1) + (2.0 + 1 + 1.0 + 1), abs=0.1)
+    assert rests == pytest.approx((2.0 + 1 + 2.0 + 1 + 1.0,), abs=0.05)
+    at = Trajectory(motion).sample
+    for time in np.linspace(rests[0] - 0.9, rests[0] + 0.9, 7):
+        assert at(time).joint_pos == pytest.approx(np.full(29, 0.1), abs=1e-9)
+        assert at(time).joint_vel == pytest.approx(np.zeros(29), abs=1e-6)
+    assert motion.joint_pos[-102:-51] == pytest.approx(moving(1.0).mirrored().joint_pos)
+
+
+@needs_policies
+def test_a_policy_stands_while_the_next_motion_waits_and_then_plays_it():
+    policy = POLICIES / "holosoma_dance1_subject2.onnx"
+    dance = g1stream.load_motion(policy).trim(0.0, 2.0)
+    config = settings(policy, wait_for="A", stand=1.0, feedforward="dynamics", support="free")
+    config = config.model_copy(update={"sim": config.sim.model_copy(update={"support": "free"})})
+    planned = plan(dance.then(dance), config, simulated=True)
+    assert len(planned.rests) == 1
+    sent = []
+
+    def press(state):
+        resting = len(sent) > 4000 and sent[-1] == sent[-4000]  # for 8 s
+        state.wireless_remote[3] = resting
+
+    robot = SimulatedRobot(make_world(ROBOT, config.sim), config.sim, mode_machine=5, noise=press)
+
+    def on_sample(topic, data, stamp):
+        if topic is REFERENCE:
+            sent.append(Samples(REFERENCE, [data])["motion_time"][0])
+
+    link = Lockstep(robot, "free", on_sample=on_sample)
+    report = make_loop(planned, link, link, settle=0).run()
+    assert report.stop is None
+    values, counts = np.unique(np.round(sent, 6), return_counts=True)
+    assert counts[np.argmin(np.abs(values - planned.rests[0]))] == pytest.approx(4000, abs=5)
+    assert report.played / 1e9 == pytest.approx(planned.motion.duration, abs=0.01)
+
+
 def test_a_part_of_a_motion(policy):
     source = PolicyTargets(settings(policy(), stand=1.0, start=0.5, duration=0.8), ROBOT)
-    motion, _ = source.prepare(moving(2.0))
+    motion = source.prepare(moving(2.0)).motion
     assert motion.joint_pos[100:141] == pytest.approx(moving(2.0).joint_pos[25:66])
     assert motion.duration == pytest.approx(1.0 + 1.0 + 0.8 + 1.0, abs=0.05)
 
@@ -505,7 +550,7 @@ def test_the_phase_is_that_of_the_whole_motion_without_the_standing(
     stream = {"policy": str(path), "stand": 0.5, "beyond_limits": "anyway"}
     part = {"start": start} | ({"duration": duration} if duration else {})
     source = PolicyTargets(load_config(over={"stream": stream | part}), ROBOT)
-    changed, _ = source.prepare(g1stream.load_motion("demo"))
+    changed = source.prepare(g1stream.load_motion("demo")).motion
     length = duration or 14.0
     assert changed.duration == pytest.approx(0.5 + 1.0 + length + 1.0, abs=0.1)
     times = np.array([0.0, 1.5, 1.5 + 0.25 * length, 1.5 + length, changed.duration])

@@ -13,6 +13,7 @@ import numpy as np
 from g1stream.config import Config
 from g1stream.control.reading import ImuReading
 from g1stream.control.sources import (
+    Changed,
     HeldTorques,
     Mode,
     Moment,
@@ -94,15 +95,16 @@ class StandingTorques(Source):
             margins=balance.worst,
         )
 
-    def prepare(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> Changed:
+        motion, _, rests = super().prepare(motion)
         settings, robot = self._config.stream, self._robot
         asked = Interval.from_config(settings, motion).frames(motion)
         standing = stand_or_explain(motion, robot, asked, robot.select(settings.played_joints))
         how = str(standing)
         if not how:
-            return standing.motion, ""
+            return Changed(standing.motion, rests=rests)
         changed = replace(standing.motion, operations=(*motion.operations, how))
-        return changed, f"{motion.name} is played {how}"
+        return Changed(changed, f"{motion.name} is played {how}", rests)
 
     def begin(self, first: Setpoint, announced: str | None, robot: str | None) -> Mode:
         if announced not in (None, "free"):

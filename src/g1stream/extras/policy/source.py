@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import Gains
-from g1stream.control.sources import Mode, Source, Status, Traits
+from g1stream.control.sources import Changed, Mode, Source, Status, Traits
 from g1stream.dds.messages import ODOMMODESTATE, PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
@@ -39,7 +39,7 @@ from g1stream.session.records import PolicyInfo
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from g1stream.config import Config
     from g1stream.control.reading import Reading
@@ -141,24 +141,26 @@ class PolicyTargets(Source):
     def _waits(self) -> bool:
         return not self._lowered_by_bridge and self._carried_for <= _CARRIED[1]
 
-    def prepare(self, motion: Motion) -> tuple[Motion, str]:
+    def prepare(self, motion: Motion) -> Changed:
         settings = self._settings
-        check_motion(self.contract, self._network, motion)
+        for one in motion.split():
+            check_motion(self.contract, self._network, one)
         part, whole = Interval.from_config(settings, motion), motion.duration
         if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
-        changed = _with_standing(motion, self._still, settings.stand)
+        motions = motion.split() if settings.wait_for else [motion]
+        changed, rests = _with_standing(motions, self._still, settings.stand)
         length, after = motion.duration, (round(_BLEND * motion.fps) + 1) / motion.fps
-        begin = changed.duration - length - after
+        end = changed.duration - after
         shares = np.array([settings.start, settings.start + length]) / whole
-        self._phases = np.array([begin, begin + length]), shares
+        self._phases = np.array([changed.duration - length - after, end]), shares
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         if self._odometry:
             text += (
                 f"; place and velocity of the pelvis come from {ODOMMODESTATE.name} where it is "
                 "published, and else from leg odometry"
             )
-        return changed, text
+        return Changed(changed, text, rests)
 
     def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
         if self._odometry:
@@ -345,26 +347,36 @@ def _standing(pose: Floats, robot: G1) -> Motion:
     return replace(still, operations=())  # they would be listed with those of the motion
 
 
-def _with_standing(motion: Motion, still: Motion, seconds: float) -> Motion:
-    """A motion that begins and ends with a still pose for some time.
+def _with_standing(
+    motions: Sequence[Motion], still: Motion, seconds: float
+) -> tuple[Motion, tuple[float, ...]]:
+    """Motions with a still pose for some time before, between and, for a moment, after them.
 
-    The pose has the place and heading of the motion's first frame, and `Motion.then` moves the
-    pose at the end.
+    The first pose has the place and heading of the first frame, and `Motion.then` moves the others.
+
+    Returns:
+        The motion, and the times, s, in the middle of the poses between two motions.
     """
-    frames = max(2, round(seconds * motion.fps) + 1)
-    heading = quat_from_yaw(yaw_of(motion.root_quat_wxyz[0]))
-    place = motion.root_pos[0] * [1.0, 1.0, 0.0] + still.root_pos[0]
-    before, after = (
+    first = motions[0]
+    frames = max(2, round(seconds * first.fps) + 1)
+    heading = quat_from_yaw(yaw_of(first.root_quat_wxyz[0]))
+    place = first.root_pos[0] * [1.0, 1.0, 0.0] + still.root_pos[0]
+    standing, moment = (
         replace(
             still,
-            fps=motion.fps,
+            fps=first.fps,
             joint_pos=np.repeat(still.joint_pos[:1], n, axis=0),
             root_pos=np.repeat(place[None], n, axis=0),
             root_quat_wxyz=np.repeat(heading[None], n, axis=0),
         )
         for n in (frames, 2)
     )
-    return before.then(motion, _BLEND).then(after, _BLEND)
+    joined, rests = standing.then(first, _BLEND), []
+    for motion in motions[1:]:
+        joined = joined.then(standing, _BLEND)
+        rests.append(joined.duration - standing.duration / 2.0)
+        joined = joined.then(motion, _BLEND)
+    return joined.then(moment, _BLEND), tuple(rests)
 
 
 def _require_multiple(contract: PolicyContract, rate: float) -> None:

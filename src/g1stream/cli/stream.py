@@ -199,6 +199,11 @@ class Stream(LiveCommand, MotionFlags):
         config = self.resolve()
         motion = self.load(self.motions or [default_motion(config)], G1.of_config(config))
         print_warning(*motion.warnings)
+        if not config.stream.policy and (nets := [m for m in self.motions if m.endswith(".onnx")]):
+            print_warning(
+                f"the motion of {nets[0]} is played without its network: on its own feet the robot "
+                f"falls. `--policy {nets[0]}` plays it with the network."
+            )
         announce_wire(config)
 
         def on_loop(loop: StreamLoop) -> None:

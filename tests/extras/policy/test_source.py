@@ -6,6 +6,7 @@ import pytest
 
 import g1stream
 from g1stream.app.sim import make_world
+from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.control.combinations import require_combination
 from g1stream.control.loop import make_loop
@@ -557,3 +558,10 @@ def test_the_phase_is_that_of_the_whole_motion_without_the_standing(
     phases = [source._reference(target._replace(motion_time=one)).phase for one in times]
     passed = start + length * np.array([0.0, 0.0, 0.25, 1.0, 1.0])
     assert phases == pytest.approx(passed / 14.0, abs=1e-6)
+
+
+@needs_policies
+def test_a_motion_that_is_played_without_its_network_says_so(capsys):
+    file = str(POLICIES / "holosoma_dance1_subject2.onnx")
+    assert main(["stream", file]) == 2  # joints are too fast
+    assert f"--policy {file}" in capsys.readouterr().err

@@ -13,10 +13,9 @@ from g1stream.errors import ConfigError, RecordingError
 from g1stream.input_limits import SMALL_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
-    from matplotlib.figure import Figure
 
 __all__ = [
     "begins_with",
@@ -29,7 +28,6 @@ __all__ = [
     "is_session",
     "output_errors",
     "read_file",
-    "save_figure",
     "temporary_path",
 ]
 
@@ -242,18 +240,6 @@ def complete_directory(path: Path, names: Collection[str], *, force: bool) -> It
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def save_figure(draw: Callable[[], Figure], path: Path, *, force: bool) -> None:
-    """Write a figure to a file; it is drawn after the path has been checked.
-
-    Raises:
-        ConfigError: the path ends neither in .png nor in .svg nor in .pdf.
-        RecordingError: the file cannot be written.
-    """
-    check_suffix(path, "a figure", ".png", ".svg", ".pdf")
-    with complete_file(path, force=force) as temporary:
-        draw().savefig(temporary, format=path.suffix[1:].lower())
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from g1stream.analysis.signals import chosen_quantities, min_max, signal
 from g1stream.analysis.tracking import UNSURE, NothingToCompareError, tracking
 from g1stream.errors import RecordingError
-from g1stream.files import save_figure
+from g1stream.files import check_suffix, complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
 from g1stream.session.records import MotionInfo, StreamSummary, read_record
 from g1stream.session.streams import MeasuredStream, ReferenceStream
@@ -102,8 +102,10 @@ def draw(
     """
     from matplotlib import style
 
-    with style.context(["default", dict(_STYLE)]):
-        save_figure(lambda: plot(session, joints, what), Path(path), force=force)
+    path = Path(path)
+    check_suffix(path, "a figure", ".png", ".svg", ".pdf")
+    with style.context(["default", dict(_STYLE)]), complete_file(path, force=force) as temporary:
+        plot(session, joints, what).savefig(temporary, format=path.suffix[1:].lower())
 
 
 def plot(

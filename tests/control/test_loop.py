@@ -11,6 +11,7 @@ import pytest
 
 from g1stream.config import Config
 from g1stream.control.feedforward import FeedForward
+from g1stream.control.schedule import PhaseState, Schedule
 from g1stream.control.sources import Source, Status
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
@@ -296,6 +297,20 @@ def test_a_button_lets_the_motion_go_on(make_loop, link, motion_times):
     make_loop(rests=[200 * MS], wait_for="A").run()
     found = int((np.abs(motion_times() - 0.2) < 1e-9).sum())
     assert found == pytest.approx(500 - RAMP - 100, abs=3)
+
+
+def test_a_rest_is_one_also_if_the_robot_s_time_moves_meanwhile(timing, trajectory):
+    schedule = Schedule(
+        Targets(trajectory, start=0.0, moved=np.ones(29, bool)), timing, PERIOD, rests=[200 * MS]
+    )
+    schedule.state = PhaseState(Phase.PLAY, 0)
+    assert not schedule.rest(198 * MS)
+    for now in (202 * MS, 300 * MS):
+        assert schedule.rest(now)
+        assert schedule.state.elapsed(now) == 200 * MS
+        schedule.delay(10 * MS)
+    schedule.go_on()
+    assert not schedule.rest(500 * MS)
 
 
 def test_a_resting_motion_can_be_ended(make_loop, link):

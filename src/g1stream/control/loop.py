@@ -100,7 +100,7 @@ class StreamLoop:
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
         self._where, self._next_wait_log = where, _FIRST_WAIT_LOG
-        self._wait_for, self._rests = wait_for, False
+        self._wait_for = wait_for
         self._gone_on = self._to_go_on = 0
         self._low_state = LowState()
         self._measured: Reading | None = None
@@ -314,12 +314,14 @@ class StreamLoop:
 
     def _rest(self, now: int) -> None:
         """Let the motion rest where it has to, until it is told to go on."""
-        rested, self._rests = self._rests, self._schedule.rest(now)
-        if self._rests and not rested:
+        rested = self._schedule.resting
+        if not self._schedule.rest(now):
+            return
+        if not rested:
             self._gone_on = self._to_go_on  # what came earlier does not count
             what = "Enter" if self._wait_for == "enter" else f"{self._wait_for} on the remote"
             _LOGGER.info("PLAY waits at %.2f s: press %s", self.motion_time, what)
-        elif self._rests and self._to_go_on > self._gone_on:
+        elif self._to_go_on > self._gone_on:
             self._schedule.go_on()
             _LOGGER.info("PLAY goes on")
 

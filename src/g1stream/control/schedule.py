@@ -116,6 +116,7 @@ class Schedule:
         timing: length of each phase, as far as it is known.
         state: the current phase; it can be set.
         delayed: total delay of the phases so far.
+        resting: whether the motion rests.
         ramp: the way to the first frame; None until RAMP begins.
     """
 
@@ -134,6 +135,7 @@ class Schedule:
         self._logged = -_LOG_INTERVAL  # time in RAMP of the last log message about waiting
         self.state = PhaseState(Phase.WAIT, 0)
         self.delayed = 0
+        self.resting = False
         self.ramp: Ramp | None = None
 
     def advance(self, now: int, inputs: Inputs) -> None:
@@ -166,16 +168,19 @@ class Schedule:
 
     def rest(self, now: int) -> bool:
         """Stop the motion if it has reached the next rest, and return whether it rests."""
-        over = self.state.elapsed(now) - self._rests[0] if self._rests else -1
-        if self.state.phase is not Phase.PLAY or over < 0:
+        if self.state.phase is not Phase.PLAY or not self._rests:
             return False
-        # Unlike in `delay`, the time of the motion's clock goes on, by which a policy steps.
-        self.state = replace(self.state, since=self.state.since + over)
-        return True
+        over = self.state.elapsed(now) - self._rests[0]
+        if self.resting or over >= 0:  # also if the robot's time has moved the phase meanwhile
+            # Unlike in `delay`, the time of the motion's clock goes on, by which a policy steps.
+            self.state = replace(self.state, since=self.state.since + over)
+            self.resting = True
+        return self.resting
 
     def go_on(self) -> None:
         """End the rest."""
         del self._rests[0]
+        self.resting = False
 
     def go_down(self, now: int, stop: Stop, last: Setpoint, *, stands: bool) -> bool:
         """End with the way down, as soon as it is possible; False if there is none.

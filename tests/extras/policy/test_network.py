@@ -1,8 +1,12 @@
+from hashlib import sha256
+
 import numpy as np
 import onnx
 import pytest
 from onnx import helper, numpy_helper
+from onnx.external_data_helper import set_external_data
 
+from g1stream.errors import ConfigError
 from g1stream.extras.policy.network import Network
 from known_policies import network_of
 
@@ -50,3 +54,45 @@ def test_what_is_no_normalisation_of_the_observation_is_none(tmp_path, model):
     path = tmp_path / "policy.onnx"
     onnx.save(model, path)
     assert Network(path).normaliser is None
+
+
+def with_two_files(folder):
+    """A policy with its weights in one file and the constant of a node in another."""
+    model = normalising()
+    weights, *statistics = model.graph.initializer
+    constant = helper.make_node("Constant", [], ["mean"], value=statistics[0])
+    del model.graph.initializer[1]
+    (folder / "of").mkdir()
+    for tensor, name in ((weights, "w.bin"), (constant.attribute[0].t, "of/mean.bin")):
+        (folder / name).write_bytes(tensor.raw_data)
+        set_external_data(tensor, name, length=len(tensor.raw_data))
+        tensor.ClearField("raw_data")
+    model.graph.node.insert(0, constant)
+    path = folder / "policy.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_all_external_data_are_part_of_the_hash_whatever_their_names(tmp_path):
+    path = with_two_files(tmp_path)
+    files = [tmp_path / "of" / "mean.bin", tmp_path / "w.bin"]
+    network = Network(path)
+    content = b"".join(one.read_bytes() for one in files)
+    assert network.data_sha256 == sha256(content).hexdigest()
+    assert np.isfinite(network.act(np.ones(154))).all()
+    for file in files:
+        before = file.read_bytes()
+        file.write_bytes(before[:-1] + b"\x40")
+        assert Network(path).data_sha256 != network.data_sha256
+        file.write_bytes(before)
+    assert Network(path).data_sha256 == network.data_sha256
+
+
+@pytest.mark.parametrize("name", ["../w.bin", "of/../../w.bin", "/w.bin"])
+def test_external_data_outside_the_folder_are_refused(tmp_path, name):
+    model = network_of()
+    set_external_data(model.graph.initializer[0], name)
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(ConfigError):
+        Network(path)

@@ -374,7 +374,7 @@ def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, nam
     ("inputs", "outputs", "named"),
     [
         ([("obs", 200)], [("action", 23)], "23 actions"),
-        ([("obs", 1432)], [("action", 29)], "1432 values"),
+        ([("obs", 3000)], [("action", 29)], "3000 values"),
         ([("obs", 623)], [("policy", 623), ("action", 29)], 'action = "action"'),
         ([("obs", 655), ("hx", 128)], [("next_hx", 655), ("action", 29)], "hx (1, 128)"),
         ([("obs", 50)], [("token", 64)], "64 values"),

@@ -20,7 +20,7 @@ from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.families import TABLE, TERM_KEYS, as_list, beside, sources
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import TERMS
+from g1stream.extras.policy.observation import REPEATED, TERMS
 from g1stream.extras.policy.plausibility import doubts, refuse_implausible
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
@@ -54,6 +54,7 @@ class Term(Record, frozen=True):
         history: number of steps.
         behind: steps by which the newest of them is behind the present one.
         newest_first: whether the newest step comes first.
+        of: names of the terms whose values it has; empty if it has its own.
         scale: factor for all values, or one for each value of a step.
         clip: lowest and highest scaled value, each for all or for each value of a step; None
             without limits.
@@ -66,6 +67,7 @@ class Term(Record, frozen=True):
     history: int = 1
     behind: int = 0
     newest_first: bool = False
+    of: tuple[str, ...] = ()
     scale: list[float]
     clip: list[list[float]] | None = None
     formula: str
@@ -168,8 +170,8 @@ class PolicyContract(Record, frozen=True):
                 facts[key] = dict(zip(names, facts[key], strict=True)) if facts[key] else None
         lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "")]
         for term in self.terms:
-            told = term.model_dump() | {"formula": term.value}
-            pairs = ((key, told[key]) for key in TERM_KEYS if told[key] is not None)
+            told = term.model_dump() | {"formula": None if term.of else term.value}
+            pairs = ((key, told[key]) for key in TERM_KEYS if told[key] not in (None, ()))
             lines += ["", "[[terms]]", *(f"{key} = {_toml(one)}" for key, one in pairs)]
         return "\n".join(lines)
 
@@ -345,28 +347,37 @@ def _terms(values: Mapping[str, Any], n_joints: int, where: str) -> list[Term]:
             f"The observation of {where} has one term several times: {listed(twice)}.",
             "Give each term once, with its history if it has one.",
         )
+    sizes: dict[str, int] = {}  # of the terms with values of their own
+    for name, one in zip(named, given, strict=True):
+        one["formula"] = str(one.get("formula", TABLE["aliases"].get(name, name)))
+        if (formula := TERMS.get(one["formula"])) and not one.get("of"):
+            sizes[name] = formula.size + formula.by_joint * n_joints
     if values["history_by"] == "step":
         longest = max([_steps(one.get("history", 1), "history", where) for one in given], default=1)
         steps = range(longest)[::-1]
         given = [one | {"history": 1, "behind": step} for step in steps for one in given]
-    terms = [_term(one, n_joints, where, scale_first=values["scale_first"]) for one in given]
+    terms = [_term(one, sizes, where, scale_first=values["scale_first"]) for one in given]
     counts = Counter[str]()
     for at in sorted(range(len(terms)), key=lambda at: terms[at].behind):
         counts[name := terms[at].name] += 1
         if counts[name] > 1:
             terms[at] = terms[at].model_copy(update={"name": f"{name}.{counts[name]}"})
-    return terms
+    names = {term.named: term.name for term in terms}
+    return [term.model_copy(update={"of": tuple(names[one] for one in term.of)}) for term in terms]
 
 
-def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: bool) -> Term:
-    named = str(given["name"])
-    name = str(given.get("formula", TABLE["aliases"].get(named, named)))
-    if name not in TERMS:
+def _term(
+    given: Mapping[str, Any], sizes: Mapping[str, int], where: str, *, scale_first: bool
+) -> Term:
+    named, formula = str(given["name"]), given["formula"]
+    of = [str(one) for one in as_list(given.get("of", []))]
+    if unknown := [one for one in of or [named] if one not in sizes]:
         raise ConfigError(
-            f"The observation of {where} has the unknown term {named!r}.",
-            f"Known terms are {', '.join(TERMS)}.",
+            f"The observation of {where} has the unknown term {unknown[0]!r}.",
+            f"Known terms are {', '.join(sizes if of else TERMS)}.",
         )
-    size = TERMS[name].size + TERMS[name].by_joint * n_joints
+    name, size = REPEATED if of else formula, sum(sizes[one] for one in of or [named])
+    formula = f"those of {listed(of, 3)}" if of else TERMS[name].formula
 
     def values(given: Any, what: str) -> Floats:
         numbers = [
@@ -398,9 +409,10 @@ def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: b
         history=history,
         behind=behind,
         newest_first=newest_first,
+        of=tuple(of),
         scale=scale.tolist(),
         clip=None if clip is None or np.abs(clip).min() >= _INFINITE else clip.tolist(),
-        formula=TERMS[name].formula + (f", {counted(behind, 'step')} before" if behind else ""),
+        formula=formula + (f", {counted(behind, 'step')} before" if behind else ""),
     )
 
 

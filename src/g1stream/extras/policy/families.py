@@ -24,7 +24,7 @@ __all__ = ["TABLE", "TERM_KEYS", "Facts", "as_list", "beside", "sources"]
 
 TABLE: Final = read_toml(Path(__file__).with_name("families.toml"), "table of families")
 """Lines to write for missing facts, defaults, ranges, names of terms, and the families."""
-TERM_KEYS: Final = ("name", "formula", "scale", "clip", "history", "behind", "newest_first")
+TERM_KEYS: Final = ("name", "formula", "of", "scale", "clip", "history", "behind", "newest_first")
 """Keys of a term."""
 
 

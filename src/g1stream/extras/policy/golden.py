@@ -17,7 +17,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract
 from g1stream.extras.policy.held_motion import check_motion, held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import ReferenceFrame
+from g1stream.extras.policy.observation import Pose, ReferenceFrame
 from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
 from g1stream.extras.policy.plausibility import ORDERS
 from g1stream.extras.policy.rehearsal import slight_changes
@@ -26,7 +26,7 @@ from g1stream.input_limits import UNPACKED
 from g1stream.motion.motion import Motion
 from g1stream.motion.npz import read_npy, unzip
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import is_unit
+from g1stream.robot.rotations import is_unit, quat_conj, quat_mul, sign_continuous
 from g1stream.session.records import Record
 from g1stream.text import labelled, listed, table
 from g1stream.types import Floats
@@ -223,15 +223,20 @@ def _reference(
         np.concatenate([getattr(one, name) for one in sampled])
         for name in ("root_pos", "root_quat_wxyz")
     )
+    quat = sign_continuous(quat)
     at, frames = np.arange(len(pos)) * motion.fps / contract.rate, np.arange(motion.n_frames)
     joint_pos = np.transpose([np.interp(at, frames, one) for one in motion.joint_pos.T])
-    joint_vel = np.zeros_like(joint_pos)
+    joint_vel, lin_vel, turn = (np.zeros_like(one) for one in (joint_pos, pos, quat))
     if len(joint_pos) > 1:
-        joint_vel = np.gradient(joint_pos, 1.0 / contract.rate, axis=0)
+        joint_vel, lin_vel, turn = (
+            np.gradient(one, 1.0 / contract.rate, axis=0) for one in (joint_pos, pos, quat)
+        )
+    ang_vel = 2.0 * quat_mul(quat_conj(quat), turn)[:, 1:]
 
     def frame(contract: PolicyContract, step: int) -> ReferenceFrame:
         i = min(max(step, 0), len(pos) - 1)
-        found = frame_of(contract, G1.default(), joint_pos[i], joint_vel[i], pos[i], quat[i])
+        joints, pelvis = (joint_pos[i], joint_vel[i]), Pose(pos[i], quat[i])
+        found = frame_of(contract, G1.default(), *joints, pelvis, lin_vel[i], ang_vel[i])
         return found._replace(phase=i / (contract.rate * motion.duration))
 
     return frame
@@ -274,7 +279,7 @@ def _difference(
 ) -> Difference:
     """Compare values (N, K), the first row of which is step `first`; K names, if they are known."""
     apart = np.abs(ours - theirs)
-    rows = np.flatnonzero((apart > _tolerance(theirs)).any(axis=1))
+    rows = np.flatnonzero(~(apart <= _tolerance(theirs)).all(axis=1))  # NaN differs
     most = float(apart.max())
     if not len(rows):
         return Difference(max_abs=most)

@@ -19,11 +19,12 @@ from g1stream.robot.rotations import (
     quat_mul,
     quat_rotate,
     quat_rotate_inverse,
+    quat_to_rpy,
     rotation_matrices,
 )
 from g1stream.types import Floats
 
-__all__ = ["TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState"]
+__all__ = ["REPEATED", "TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState"]
 
 
 class Pose(NamedTuple):
@@ -53,16 +54,29 @@ class RobotState(NamedTuple):
     anchor: Pose
 
 
-class ReferenceFrame(NamedTuple):
-    """The reference of one step: joint_pos (29,) rad, joint_vel (29,) rad/s, motor order.
+_UNKNOWN: Final = Pose(np.full(3, np.nan), np.full(4, np.nan))
 
-    `phase` is the share of the motion that has passed, 0 before it and 1 after it.
+
+class ReferenceFrame(NamedTuple):
+    """The reference of one step.
+
+    Attributes:
+        joint_pos: (29,) rad, motor order.
+        joint_vel: (29,) rad/s.
+        anchor: pose of the anchor link.
+        phase: share of the motion that has passed, 0 before it and 1 after it.
+        pelvis: pose of the pelvis; NaN if unknown, as are its velocities.
+        lin_vel: (3,) velocity of the pelvis, in the pelvis frame, m/s.
+        ang_vel: (3,) angular velocity in the pelvis frame, rad/s.
     """
 
     joint_pos: Floats
     joint_vel: Floats
     anchor: Pose
     phase: float = 0.0
+    pelvis: Pose = _UNKNOWN
+    lin_vel: Floats = _UNKNOWN.pos
+    ang_vel: Floats = _UNKNOWN.pos
 
 
 class Inputs(NamedTuple):
@@ -119,6 +133,10 @@ def _anchor_position(x: Inputs) -> Floats:
     return quat_rotate_inverse(x.state.anchor.quat_wxyz, place - x.state.anchor.pos)
 
 
+def _roll_pitch(quat_wxyz: Floats) -> Floats:
+    return np.array(quat_to_rpy(quat_wxyz)[:2])
+
+
 def _gravity(x: Inputs) -> Floats:
     return quat_rotate_inverse(x.state.quat_wxyz, np.array([0.0, 0.0, -1.0]))
 
@@ -151,5 +169,32 @@ TERMS: Final = {
     "motion_phase": _Term(
         1, 0, "share of the motion that has passed", lambda x: np.array([_reference(x).phase])
     ),
+    "motion_joint_pos": _Term(0, 1, "q_ref", lambda x: _reference(x).joint_pos[x.order]),
+    "motion_lin_vel_xy": _Term(
+        2,
+        0,
+        "velocity of the reference's pelvis in its axes: x, y",
+        lambda x: _reference(x).lin_vel[:2],
+    ),
+    "motion_height": _Term(
+        1, 0, "height of the reference's pelvis", lambda x: _reference(x).pelvis.pos[2:]
+    ),
+    "motion_roll_pitch": _Term(
+        2,
+        0,
+        "roll and pitch of the reference's pelvis",
+        lambda x: _roll_pitch(_reference(x).pelvis.quat_wxyz),
+    ),
+    "motion_yaw_rate": _Term(
+        1,
+        0,
+        "turning of the reference's pelvis about its z axis",
+        lambda x: _reference(x).ang_vel[2:],
+    ),
+    "base_roll_pitch": _Term(
+        2, 0, "roll and pitch of the pelvis", lambda x: _roll_pitch(x.state.quat_wxyz)
+    ),
 }
-"""The terms by their names in Isaac Lab and mjlab, as in deploy.yaml."""
+"""The terms by their names in Isaac Lab and mjlab, as in deploy.yaml, where these have them."""
+REPEATED: Final = "repeated"
+"""Name in a session of a term with the values of other terms."""

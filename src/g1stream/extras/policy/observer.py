@@ -9,7 +9,14 @@ import numpy as np
 
 from g1stream.extras.policy.observation import TERMS, Inputs, Pose, ReferenceFrame, RobotState
 from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_from_yaw,
+    quat_mul,
+    quat_rotate,
+    quat_rotate_inverse,
+    yaw_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,6 +55,9 @@ class Observer:
         self._histories: list[deque[Floats]] = [
             deque(maxlen=one.history + one.behind) for one in contract.terms
         ]
+        # Terms that repeat values of others follow them.
+        indices = range(len(contract.terms))
+        self._own_first = sorted(indices, key=lambda at: len(contract.terms[at].of) > 0)
         self._yaw0, self._origin = _UPRIGHT, (_ORIGIN, _ORIGIN)
         self.last_action = self._smoothed = np.zeros(len(self._default))
 
@@ -66,7 +76,7 @@ class Observer:
 
         `frame` is None for a policy that tracks no motion.
         """
-        contract, parts = self._contract, []
+        contract, parts = self._contract, [_ORIGIN] * len(self._histories)
         self._frames.append(frame)
         inputs = Inputs(
             state,
@@ -78,18 +88,21 @@ class Observer:
             self.last_action,
             *_STANDS,
         )
-        for term, history, scale, limits in zip(
-            contract.terms, self._histories, self._scales, self._limits, strict=True
-        ):
-            values = scale * TERMS[term.value].value(inputs)
+        now: dict[str, Floats] = {}
+        for at in self._own_first:
+            term, history, limits = contract.terms[at], self._histories[at], self._limits[at]
+            repeated = [now[name] for name in term.of]
+            values = np.concatenate(repeated) if term.of else TERMS[term.value].value(inputs)
+            values = self._scales[at] * values
             if limits is not None:
                 values = np.clip(values, *limits)
+            now[term.name] = values
             if not history:
                 before = np.zeros_like(values) if contract.history_start == "zeros" else values
                 history.extend([before] * (term.history + term.behind))
             history.append(values)
             steps = list(history)[: term.history]
-            parts += steps[::-1] if term.newest_first else steps
+            parts[at] = np.concatenate(steps[::-1] if term.newest_first else steps)
         observation, most = np.concatenate(parts), contract.clip
         return np.clip(observation, -most, most) if most else observation
 
@@ -142,8 +155,18 @@ def state_of(
 
 
 def frame_of(
-    contract: PolicyContract, robot: G1, joint_pos: Floats, joint_vel: Floats, *pelvis: Floats
+    contract: PolicyContract,
+    robot: G1,
+    joint_pos: Floats,
+    joint_vel: Floats,
+    pelvis: Pose,
+    lin_vel: Floats,
+    ang_vel: Floats,
 ) -> ReferenceFrame:
-    """The reference of one step: joints (29,) rad, rad/s, pelvis pos (3,) m and quat_wxyz (4,)."""
+    """The reference of one step: joints (29,) rad, rad/s, and the pelvis.
+
+    Its velocities are lin_vel (3,) m/s, world, and ang_vel (3,) rad/s, pelvis frame.
+    """
     anchor = anchor_poses(contract, robot, joint_pos[None], *pelvis)[0]
-    return ReferenceFrame(joint_pos, joint_vel, anchor)
+    own = quat_rotate_inverse(pelvis.quat_wxyz, lin_vel)
+    return ReferenceFrame(joint_pos, joint_vel, anchor, 0.0, pelvis, own, ang_vel)

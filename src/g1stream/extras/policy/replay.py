@@ -17,6 +17,7 @@ import numpy as np
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.contract import PolicyContract, read_contract, recorded_contract
 from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Pose
 from g1stream.extras.policy.observer import Observer, frame_of, state_of
 from g1stream.extras.policy.odometry import OF_BASE
 from g1stream.robot.joints import JOINT_NAMES
@@ -303,16 +304,18 @@ def _observations(
         else:
             values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
             state = state_of(contract, robot, *values, measured.gyroscope[s])
-            pose = reference.root_pos[r], reference.root_quat_wxyz[r]
-            frame = frame_of(contract, robot, reference.q[r], reference.dq[r], *pose)
+            pelvis = Pose(reference.root_pos[r], reference.root_quat_wxyz[r])
+            moves = reference.root_lin_vel[r], reference.root_ang_vel[r]
+            frame = frame_of(contract, robot, reference.q[r], reference.dq[r], pelvis, *moves)
             if not number:
                 observer.begin(state, frame)
             rebuilt[i], before = observer.observe(state, frame), number
         if not steps.repeated[i]:
             observer.last_action = steps.action[i].astype(np.float64)[order]
-    for name, at in columns.items():
-        if name.partition(".")[0] in (*OF_BASE, "motion_phase"):  # not in the messages
-            rebuilt[:, at] = np.nan
+    for term in contract.terms:
+        formulas = {name.partition(".")[0] for name in (term.name, *term.of)}
+        if formulas & {*OF_BASE, "motion_phase"}:  # not in the messages
+            rebuilt[:, columns[term.name]] = np.nan
     return rebuilt, left_out
 
 

@@ -21,6 +21,7 @@ from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Pose
 from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
 from g1stream.extras.policy.odometry import OF_BASE, Odometry
 from g1stream.motion.blend import minimum_jerk
@@ -269,8 +270,9 @@ class PolicyTargets(Source):
         )
 
     def _reference(self, target: Setpoint) -> ReferenceFrame:
-        pose = target.root_pos, target.root_quat_wxyz
-        frame = frame_of(self.contract, self._robot, target.q, target.dq, *pose)
+        pelvis = Pose(target.root_pos, target.root_quat_wxyz)
+        moves = target.root_lin_vel, target.root_ang_vel
+        frame = frame_of(self.contract, self._robot, target.q, target.dq, pelvis, *moves)
         return frame._replace(phase=float(np.interp(target.motion_time, *self._phases)))
 
 

@@ -401,15 +401,27 @@ def test_an_encoder_beside_a_decoder_is_said_to_be_one_of_two_networks(tmp_path,
     assert "default_pos" not in said
 
 
-def test_a_network_of_the_sizes_of_pbhc_is_of_its_family(tmp_path):
-    """Its terms and their order are those of its published config.yaml, sorted by name."""
+#: Gains by motor, as in PBHC's config.yaml and in ASAP's sim2real/config.
+LEG = {"pbhc": [100, 100, 100, 150, 40, 40], "asap": [100, 100, 100, 200, 20, 20]}
+ARM = {"pbhc": [100, 100, 50, 50], "asap": [90, 60, 20, 60]}
+
+
+@pytest.mark.parametrize("family", LEG)
+def test_a_policy_of_pbhc_or_asap_is_of_the_family_that_is_named(tmp_path, family):
+    """Its terms and their order are those of PBHC's published config.yaml, sorted by name."""
     path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])
+    for line in ("", 'family = "another"', 'family = "twist2"'):
+        path.with_suffix(".toml").write_text(line)
+        with pytest.raises(ConfigError, match="PBHC or ASAP"):
+            contract_of(path)
+    path.with_suffix(".toml").write_text(f'family = "{family}"\naction_clip = 50.0')
     contract = contract_of(path)
+    assert contract.kp == [*LEG[family], *LEG[family], 400, 400, 400, *ARM[family], *ARM[family]]
     present = {"actions": 23, "base_ang_vel": 3, "dof_pos": 23, "dof_vel": 23}
     later = {"projected_gravity": 3, "ref_motion_phase": 1}
     sizes = [*present.values(), *(4 * one for one in (present | later).values()), *later.values()]
     assert [term.size for term in contract.terms] == sizes
-    assert contract.reference == "a motion"
+    assert (contract.reference, contract.action_clip, contract.clip) == ("a motion", 50.0, 100.0)
     held = set(JOINT_NAMES) - set(contract.joint_names)
     assert {name.split("_", 1)[1] for name in held} == {
         f"wrist_{axis}_joint" for axis in ("roll", "pitch", "yaw")

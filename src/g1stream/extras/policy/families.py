@@ -47,20 +47,33 @@ def sources(network: Network) -> Iterator[Facts]:
     Raises:
         ConfigError: a source cannot be read.
     """
-    if (own := beside(network.path)).exists():
-        yield _facts(str(own), partial(_of_toml, own))
+    own = Facts(str(beside(network.path)), {})
+    if beside(network.path).exists():
+        own = _facts(own.where, partial(_of_toml, beside(network.path)))
+    yield own
     yield Facts("g1stream's table of published policies", facts_of(network.sha256))
-    sizes = [network.width, network.outputs[network.first]]
-    for family in TABLE["families"].values():
+    families, sizes = TABLE["families"], [network.width, network.outputs[network.first]]
+    fitting = [name for name, one in families.items() if one.get("sizes") == sizes]
+    chosen = own.values.get("family", fitting[0] if len(fitting) == 1 else "")
+    if "joint_names" not in own.values and fitting and chosen not in fitting:
+        which = " or ".join(families[name]["about"] for name in fitting)
+        lines = " or ".join(f'family = "{name}"' for name in fitting)
+        raise ConfigError(
+            f"{network.path} may be of {which}: both have {sizes[0]} values and {sizes[1]} "
+            "actions, but other gains and another default pose.",
+            f"Write to {own.where}: {lines}.",
+        )
+    for name, family in families.items():
         about, file = family["about"], network.path.parent / family.get("file", "")
         if family.get("metadata") in network.metadata:
             read = partial(_of_metadata, family, network.metadata)
             yield _facts("metadata of the ONNX file", read)
         elif file.is_file():
             yield _facts(str(file), partial(_of_yaml, family, file))
-        elif family.get("sizes") != sizes:
+        elif name != chosen:
             continue
-        yield Facts(f"the family {about}", family.get("facts", {}))
+        like = families.get(family.get("like"), {})
+        yield Facts(f"the family {about}", like.get("facts", {}) | family.get("facts", {}))
         yield Facts(f"assumed: default of {about}", family.get("assumed", {}), assumed=True)
 
 

@@ -12,7 +12,7 @@ from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose, ReferenceFrame, RobotState
+from g1stream.extras.policy.observation import body
 from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.source import PolicyTargets
 from g1stream.robot.joints import JOINT_NAMES
@@ -182,9 +182,9 @@ def test_histories_of_a_deploy_yaml(deployed):
 
 def observed(contract, rates):
     """Observations of gyroscopes whose three values are alike."""
-    observer, zero, pose = Observer(contract), np.zeros(29), Pose(np.zeros(3), UPRIGHT)
-    states = [RobotState(zero, zero, UPRIGHT, np.full(3, one), zero[:3], pose) for one in rates]
-    return [observer.observe(one, ReferenceFrame(zero, zero, pose)) for one in states]
+    observer, zero = Observer(contract, G1.default()), np.zeros(29)
+    states = [body(zero, zero, UPRIGHT, np.full(3, one)) for one in rates]
+    return [observer.observe(one, states[0]) for one in states]
 
 
 @pytest.mark.parametrize(
@@ -310,7 +310,7 @@ def test_joints_without_an_action_are_held(policy):
     contract = contract_of(path)
     assert [term.size for term in contract.terms] == [23, 23, 3]
     wrists = [i for i, name in enumerate(JOINT_NAMES) if "wrist" in name]
-    targets = Observer(contract).act(np.full(23, 10.0))
+    targets = Observer(contract, G1.default()).act(np.full(23, 10.0))
     assert targets[wrists].tolist() == [0.5, 0, 0, 0, 0, 0]
     assert np.delete(targets, wrists) == pytest.approx(np.full(23, 0.1 + 0.25 * 2.0))
     gains = PolicyTargets(Config(stream={"policy": str(path)}), G1.default()).traits.gains

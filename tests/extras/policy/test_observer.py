@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose
-from g1stream.extras.policy.observer import Observer, frame_of, state_of
+from g1stream.extras.policy.observation import body
+from g1stream.extras.policy.observer import Observer
 from g1stream.robot.model import G1
 from known_policies import saved
 
@@ -26,7 +26,7 @@ def test_the_observation_of_twist2_is_that_of_its_runner(contract):
     """As its deploy_real computes it: 35 values of the reference, 92 of the robot, ten such steps
     before, the oldest first and zeros at first, and the 35 values again."""
     rng, robot = np.random.default_rng(3), G1.default()
-    observer, before = Observer(contract), [np.zeros(127)] * 10
+    observer, before = Observer(contract, robot), [np.zeros(127)] * 10
     for _ in range(12):
         q, dq, wanted, action = rng.normal(size=(4, 29))
         gyroscope, pos, lin_vel, ang_vel = rng.normal(size=(4, 3))
@@ -38,11 +38,10 @@ def test_the_observation_of_twist2_is_that_of_its_runner(contract):
         present = [mimic, 0.25 * gyroscope, rolled, q - DEFAULT, slowed, observer.last_action]
         now = np.concatenate(present)
         quats = (one.as_quat(scalar_first=True) for one in (own, its))
-        state = state_of(contract, robot, q, dq, next(quats), gyroscope)
-        pelvis = Pose(pos, next(quats))
-        frame = frame_of(contract, robot, wanted, dq, pelvis, lin_vel, ang_vel)
+        state = body(q, dq, next(quats), gyroscope)
+        reference = body(wanted, dq, next(quats), ang_vel, pos, lin_vel)
         expected = np.concatenate([now, *before, mimic])
-        np.testing.assert_allclose(observer.observe(state, frame), expected, atol=1e-9)
+        np.testing.assert_allclose(observer.observe(state, reference), expected, atol=1e-9)
         before = [*before[1:], now]
         targets = DEFAULT + 0.5 * np.clip(20.0 * action, -10.0, 10.0)
         np.testing.assert_allclose(observer.act(20.0 * action), targets)

@@ -17,8 +17,8 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract
 from g1stream.extras.policy.held_motion import check_motion, held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose, ReferenceFrame
-from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
+from g1stream.extras.policy.observation import Body, body
+from g1stream.extras.policy.observer import Observer, pelvis_poses
 from g1stream.extras.policy.plausibility import ORDERS
 from g1stream.extras.policy.rehearsal import slight_changes
 from g1stream.files import read_file
@@ -26,7 +26,7 @@ from g1stream.input_limits import UNPACKED
 from g1stream.motion.motion import Motion
 from g1stream.motion.npz import read_npy, unzip
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import is_unit, quat_conj, quat_mul, sign_continuous
+from g1stream.robot.rotations import is_unit, quat_conj, quat_mul, quat_rotate, sign_continuous
 from g1stream.session.records import Record
 from g1stream.text import labelled, listed, table
 from g1stream.types import Floats
@@ -47,6 +47,7 @@ _STATE: Final = {
 }
 #: Values that differ by less than this share of the term's largest value, or of 1, are alike.
 _ALIKE: Final = 1e-4
+_UNKNOWN: Final = np.full(3, np.nan)
 #: Values below this share of the term's largest one show no factor.
 _SMALL: Final = 0.01
 
@@ -206,7 +207,7 @@ def _read(path: Path, contract: PolicyContract, network: Network) -> dict[str, N
 
 def _reference(
     network: Network, contract: PolicyContract, motion: Motion | None
-) -> Callable[[PolicyContract, int], ReferenceFrame]:
+) -> Callable[[PolicyContract, int], Body]:
     """The reference of a time step, with the anchor of a contract.
 
     As in whole_body_tracking, joints are linear between frames, with central differences.
@@ -216,7 +217,7 @@ def _reference(
             raise ConfigError(
                 f"The policy {contract.path} tracks a motion, and none is given.", "Give --motion."
             )
-        return lambda contract, step: held_frame(contract, network, max(step, 0))
+        return lambda contract, step: _held(network, contract, max(step, 0))
     check_motion(contract, network, motion)
     sampled = [one for _, one in motion.samples(contract.rate, 0, motion.n_frames)]
     pos, quat = (
@@ -233,39 +234,42 @@ def _reference(
         )
     ang_vel = 2.0 * quat_mul(quat_conj(quat), turn)[:, 1:]
 
-    def frame(contract: PolicyContract, step: int) -> ReferenceFrame:
+    def frame(contract: PolicyContract, step: int) -> Body:
         i = min(max(step, 0), len(pos) - 1)
-        joints, pelvis = (joint_pos[i], joint_vel[i]), Pose(pos[i], quat[i])
-        found = frame_of(contract, G1.default(), *joints, pelvis, lin_vel[i], ang_vel[i])
+        found = body(joint_pos[i], joint_vel[i], quat[i], ang_vel[i], pos[i], lin_vel[i])
         return found._replace(phase=i / (contract.rate * motion.duration))
 
     return frame
 
 
+def _held(network: Network, contract: PolicyContract, step: int) -> Body:
+    """The reference of a step of the motion in a policy, which has no velocities of the pelvis."""
+    q, dq, *anchor = held_frame(network, contract, step)
+    (pos,), (quat,) = pelvis_poses(contract.anchor, G1.default(), q[None], *anchor)
+    return Body(q, dq, quat, _UNKNOWN, pos, _UNKNOWN)
+
+
 def _observations(
     run: Mapping[str, NDArray[Any]],
     contract: PolicyContract,
-    reference: Callable[[PolicyContract, int], ReferenceFrame],
+    reference: Callable[[PolicyContract, int], Body],
     *,
     aligned: bool,
 ) -> Floats:
     """Observations (N, width) of the states in the file."""
-    observer, robot, found = Observer(contract), G1.default(), []
+    observer, found = Observer(contract, G1.default()), []
     for step in range(len(run["obs"])):
         joint_pos = contract.in_motor_order(run["joint_pos"][step], contract.held_pos)
         joint_vel = contract.in_motor_order(run["joint_vel"][step])
         pos, quat = run["root_pos_w"][step], run["root_quat_w"][step]
-        state = state_of(contract, robot, joint_pos, joint_vel, quat, run["root_ang_vel_b"][step])
-        state = state._replace(
-            lin_vel=run["root_lin_vel_b"][step],
-            anchor=anchor_poses(contract, robot, joint_pos[None], pos, state.quat_wxyz)[0],
-        )
-        frame = None
+        lin_vel = quat_rotate(quat, run["root_lin_vel_b"][step])
+        state = body(joint_pos, joint_vel, quat, run["root_ang_vel_b"][step], pos, lin_vel)
+        wanted = state
         if contract.reference != "none":
-            frame = reference(contract, int(run["time_step"][step]))
-        if frame and aligned and not step:
-            observer.begin(state, frame)
-        found.append(observer.observe(state, frame))
+            wanted = reference(contract, int(run["time_step"][step]))
+        if aligned and not step:
+            observer.begin(state, wanted)
+        found.append(observer.observe(state, wanted))
         observer.last_action = run["action"][step]
     return np.array(found)
 

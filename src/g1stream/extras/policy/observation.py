@@ -24,7 +24,10 @@ from g1stream.robot.rotations import (
 )
 from g1stream.types import Floats
 
-__all__ = ["REPEATED", "TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState"]
+__all__ = ["REPEATED", "TERMS", "Body", "Inputs", "Pose", "body"]
+
+
+_ORIGIN: Final = np.zeros(3)
 
 
 class Pose(NamedTuple):
@@ -34,49 +37,40 @@ class Pose(NamedTuple):
     quat_wxyz: Floats
 
 
-class RobotState(NamedTuple):
-    """The measured or estimated state of the robot.
+class Body(NamedTuple):
+    """A state of the robot, measured or of the reference.
 
     Attributes:
         joint_pos: (29,) rad, motor order.
         joint_vel: (29,) rad/s.
         quat_wxyz: (4,) pelvis in the world, unit.
-        gyroscope: (3,) angular velocity in the pelvis frame, rad/s.
-        lin_vel: (3,) velocity of the pelvis, in the pelvis frame, m/s.
-        anchor: pose of the anchor link.
+        ang_vel: (3,) of the pelvis in its own axes, rad/s; of the robot, its gyroscope.
+        pos: (3,) pelvis in the world, m.
+        lin_vel: (3,) of the pelvis in the world, m/s.
+        phase: share of the motion that has passed, 0 before it and 1 after it; of the reference.
     """
 
     joint_pos: Floats
     joint_vel: Floats
     quat_wxyz: Floats
-    gyroscope: Floats
+    ang_vel: Floats
+    pos: Floats
     lin_vel: Floats
-    anchor: Pose
-
-
-_UNKNOWN: Final = Pose(np.full(3, np.nan), np.full(4, np.nan))
-
-
-class ReferenceFrame(NamedTuple):
-    """The reference of one step.
-
-    Attributes:
-        joint_pos: (29,) rad, motor order.
-        joint_vel: (29,) rad/s.
-        anchor: pose of the anchor link.
-        phase: share of the motion that has passed, 0 before it and 1 after it.
-        pelvis: pose of the pelvis; NaN if unknown, as are its velocities.
-        lin_vel: (3,) velocity of the pelvis, in the pelvis frame, m/s.
-        ang_vel: (3,) angular velocity in the pelvis frame, rad/s.
-    """
-
-    joint_pos: Floats
-    joint_vel: Floats
-    anchor: Pose
     phase: float = 0.0
-    pelvis: Pose = _UNKNOWN
-    lin_vel: Floats = _UNKNOWN.pos
-    ang_vel: Floats = _UNKNOWN.pos
+
+
+def body(
+    joint_pos: NDArray[np.floating],
+    joint_vel: NDArray[np.floating],
+    quat_wxyz: NDArray[np.floating],
+    ang_vel: NDArray[np.floating],
+    pos: NDArray[np.floating] = _ORIGIN,
+    lin_vel: NDArray[np.floating] = _ORIGIN,
+) -> Body:
+    """A `Body` in double precision, with a unit quaternion, from values of any precision."""
+    values = (joint_pos, joint_vel, quat_wxyz, ang_vel, pos, lin_vel)
+    q, dq, quat, turn, place, velocity = (one.astype(np.float64) for one in values)
+    return Body(q, dq, quat / np.sqrt(quat @ quat), turn, place, velocity)
 
 
 class Inputs(NamedTuple):
@@ -84,7 +78,8 @@ class Inputs(NamedTuple):
 
     Attributes:
         state: state of the robot.
-        reference: None for a policy that tracks no motion.
+        reference: of a policy that tracks a motion.
+        anchor, reference_anchor: their poses of the anchor link.
         yaw0: (4,) quaternion wxyz, from the reference's world to the robot's.
         origin: origin of the reference's world and of the robot's, each (3,), m: the place of the
             anchor link at the start of the motion, at height 0, because both have their floor
@@ -96,8 +91,10 @@ class Inputs(NamedTuple):
         phase: (2,) phase of the left and the right leg, rad; pi, pi while standing.
     """
 
-    state: RobotState
-    reference: ReferenceFrame | None
+    state: Body
+    reference: Body
+    anchor: Pose
+    reference_anchor: Pose
     yaw0: Floats
     origin: tuple[Floats, Floats]
     order: NDArray[np.intp]
@@ -117,34 +114,31 @@ class _Term(NamedTuple):
 
 
 def _command(x: Inputs) -> Floats:
-    reference = _reference(x)
-    return np.concatenate([reference.joint_pos[x.order], reference.joint_vel[x.order]])
+    return np.concatenate([x.reference.joint_pos[x.order], x.reference.joint_vel[x.order]])
 
 
 def _anchor_orientation(x: Inputs) -> Floats:
-    turned = quat_mul(x.yaw0, _reference(x).anchor.quat_wxyz)
-    matrix = rotation_matrices(quat_mul(quat_conj(x.state.anchor.quat_wxyz), turned))
+    turned = quat_mul(x.yaw0, x.reference_anchor.quat_wxyz)
+    matrix = rotation_matrices(quat_mul(quat_conj(x.anchor.quat_wxyz), turned))
     return matrix[:, :2].ravel()
 
 
 def _anchor_position(x: Inputs) -> Floats:
     begin, own_begin = x.origin
-    place = own_begin + quat_rotate(x.yaw0, _reference(x).anchor.pos - begin)
-    return quat_rotate_inverse(x.state.anchor.quat_wxyz, place - x.state.anchor.pos)
+    place = own_begin + quat_rotate(x.yaw0, x.reference_anchor.pos - begin)
+    return quat_rotate_inverse(x.anchor.quat_wxyz, place - x.anchor.pos)
 
 
-def _roll_pitch(quat_wxyz: Floats) -> Floats:
-    return np.array(quat_to_rpy(quat_wxyz)[:2])
+def _roll_pitch(of: Body) -> Floats:
+    return np.array(quat_to_rpy(of.quat_wxyz)[:2])
+
+
+def _lin_vel(of: Body) -> Floats:
+    return quat_rotate_inverse(of.quat_wxyz, of.lin_vel)
 
 
 def _gravity(x: Inputs) -> Floats:
     return quat_rotate_inverse(x.state.quat_wxyz, np.array([0.0, 0.0, -1.0]))
-
-
-def _reference(x: Inputs) -> ReferenceFrame:
-    if x.reference is None:
-        raise ValueError("the observation has a term that needs a reference")
-    return x.reference
 
 
 TERMS: Final = {
@@ -153,8 +147,8 @@ TERMS: Final = {
     "motion_anchor_ori_b": _Term(
         6, 0, "R(q_anchor^-1 yaw0 q_ref), 2 columns, by rows", _anchor_orientation
     ),
-    "base_lin_vel": _Term(3, 0, "velocity of the pelvis in its axes", lambda x: x.state.lin_vel),
-    "base_ang_vel": _Term(3, 0, "gyroscope of the pelvis", lambda x: x.state.gyroscope),
+    "base_lin_vel": _Term(3, 0, "velocity of the pelvis in its axes", lambda x: _lin_vel(x.state)),
+    "base_ang_vel": _Term(3, 0, "gyroscope of the pelvis", lambda x: x.state.ang_vel),
     "projected_gravity": _Term(3, 0, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
     "velocity_commands": _Term(3, 0, "commanded vx, vy, yaw rate", lambda x: x.velocity),
     "command_lin_vel": _Term(2, 0, "commanded vx, vy", lambda x: x.velocity[:2]),
@@ -167,33 +161,20 @@ TERMS: Final = {
     "joint_vel_rel": _Term(0, 1, "dq", lambda x: x.state.joint_vel[x.order]),
     "last_action": _Term(0, 1, "action of the step before", lambda x: x.last_action),
     "motion_phase": _Term(
-        1, 0, "share of the motion that has passed", lambda x: np.array([_reference(x).phase])
+        1, 0, "share of the motion that has passed", lambda x: np.array([x.reference.phase])
     ),
-    "motion_joint_pos": _Term(0, 1, "q_ref", lambda x: _reference(x).joint_pos[x.order]),
+    "motion_joint_pos": _Term(0, 1, "q_ref", lambda x: x.reference.joint_pos[x.order]),
     "motion_lin_vel_xy": _Term(
-        2,
-        0,
-        "velocity of the reference's pelvis in its axes: x, y",
-        lambda x: _reference(x).lin_vel[:2],
+        2, 0, "velocity of the reference's pelvis in its axes", lambda x: _lin_vel(x.reference)[:2]
     ),
-    "motion_height": _Term(
-        1, 0, "height of the reference's pelvis", lambda x: _reference(x).pelvis.pos[2:]
-    ),
+    "motion_height": _Term(1, 0, "height of the reference's pelvis", lambda x: x.reference.pos[2:]),
     "motion_roll_pitch": _Term(
-        2,
-        0,
-        "roll and pitch of the reference's pelvis",
-        lambda x: _roll_pitch(_reference(x).pelvis.quat_wxyz),
+        2, 0, "roll and pitch of the reference's pelvis", lambda x: _roll_pitch(x.reference)
     ),
     "motion_yaw_rate": _Term(
-        1,
-        0,
-        "turning of the reference's pelvis about its z axis",
-        lambda x: _reference(x).ang_vel[2:],
+        1, 0, "rate of the reference's pelvis about its z axis", lambda x: x.reference.ang_vel[2:]
     ),
-    "base_roll_pitch": _Term(
-        2, 0, "roll and pitch of the pelvis", lambda x: _roll_pitch(x.state.quat_wxyz)
-    ),
+    "base_roll_pitch": _Term(2, 0, "roll and pitch of the pelvis", lambda x: _roll_pitch(x.state)),
 }
 """The terms by their names in Isaac Lab and mjlab, as in deploy.yaml, where these have them."""
 REPEATED: Final = "repeated"

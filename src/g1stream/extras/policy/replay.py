@@ -17,8 +17,8 @@ import numpy as np
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.contract import PolicyContract, read_contract, recorded_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose
-from g1stream.extras.policy.observer import Observer, frame_of, state_of
+from g1stream.extras.policy.observation import body
+from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.odometry import OF_BASE
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import PolicyInfo, Record
@@ -288,10 +288,12 @@ def _observations(
     states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
     references = _references(session, steps)
     measured, reference = session.measured, session.reference
-    order, robot = contract.order, session.robot
+    own = measured.q, measured.dq, measured.imu_quat_wxyz, measured.gyroscope
+    turns = reference.root_quat_wxyz, reference.root_ang_vel
+    its = reference.q, reference.dq, *turns, reference.root_pos, reference.root_lin_vel
     rebuilt = np.full(steps.observation.shape, np.nan)
     left_out: dict[str, int] = {}
-    observer = Observer(contract)
+    observer = Observer(contract, session.robot)
     before: int | None = None  # the last step that the observer has processed
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
         known = s >= 0 and r >= 0
@@ -302,16 +304,13 @@ def _observations(
             # Without earlier values a step needs only the last action from the step before.
             before = number if follows and number and not contract.remembers else None
         else:
-            values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
-            state = state_of(contract, robot, *values, measured.gyroscope[s])
-            pelvis = Pose(reference.root_pos[r], reference.root_quat_wxyz[r])
-            moves = reference.root_lin_vel[r], reference.root_ang_vel[r]
-            frame = frame_of(contract, robot, reference.q[r], reference.dq[r], pelvis, *moves)
+            state = body(*(one[s] for one in own))
+            wanted = body(*(one[r] for one in its))
             if not number:
-                observer.begin(state, frame)
-            rebuilt[i], before = observer.observe(state, frame), number
+                observer.begin(state, wanted)
+            rebuilt[i], before = observer.observe(state, wanted), number
         if not steps.repeated[i]:
-            observer.last_action = steps.action[i].astype(np.float64)[order]
+            observer.last_action = steps.action[i].astype(np.float64)[contract.order]
     for term in contract.terms:
         formulas = {name.partition(".")[0] for name in (term.name, *term.of)}
         if formulas & {*OF_BASE, "motion_phase"}:  # not in the messages
@@ -325,7 +324,7 @@ def _sent(
     """The commands of the steps, which have their publish times, beside targets and gains."""
     if not session.topics.get(CommandStream.topic):
         return {}
-    observer, targets = Observer(contract), np.empty(steps.action.shape)
+    observer, targets = Observer(contract, session.robot), np.empty(steps.action.shape)
     for i, action in enumerate(steps.action.astype(np.float64)[:, contract.order]):
         targets[i] = observer.act(observer.last_action if steps.repeated[i] else action)
     sent, reference = session.command, session.reference

@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import Any, Final, Literal
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
@@ -90,6 +90,7 @@ class PolicyContract(Record, frozen=True):
         joint_names: the joints with an action.
         default_pos: pose to which observed joint positions are relative, rad.
         action: output that is the action; the first one if empty.
+        feedback: output that is a state in the next step, by the name of its input; 0 at first.
         action_offset: targets of an action of 0, rad; `default_pos` if None.
         action_clip: largest magnitude of an action; None without a limit.
         action_smoothing: share of the smoothed action before in the next one.
@@ -111,6 +112,7 @@ class PolicyContract(Record, frozen=True):
     joint_names: list[str]
     default_pos: list[float]
     action: str = ""
+    feedback: dict[str, str] = Field(default_factory=dict)
     action_offset: list[float] | None = None
     action_scale: list[float]
     action_clip: float | None = None
@@ -168,7 +170,7 @@ class PolicyContract(Record, frozen=True):
         for names, keys in ((self.joint_names, _BY_ACTION), (JOINT_NAMES, _HELD)):
             for key in keys:
                 facts[key] = dict(zip(names, facts[key], strict=True)) if facts[key] else None
-        lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "")]
+        lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "", {})]
         for term in self.terms:
             told = term.model_dump() | {"formula": None if term.of else term.value}
             pairs = ((key, told[key]) for key in TERM_KEYS if told[key] not in (None, ()))
@@ -292,6 +294,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         terms=terms,
         anchor=str(values["anchor"]) if uses_anchor else None,
         action=values.get("action", ""),
+        feedback=values["feedback"],
         action_smoothing=_number(values["action_smoothing"], "action_smoothing", where),
         reference=("in the policy" if network.holds_motion else "a motion") if tracks else "none",
         lag=_steps(values["lag"], "lag", where) if tracks else 0,
@@ -302,7 +305,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     )
 
 
-def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> None:
+def _check_playable(network: Network, values: dict[str, Any], where: str) -> None:
     """Refuse a network that cannot be played at all, or of which nothing is known."""
     action = str(values.get("action", network.first))
     most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)
@@ -315,6 +318,15 @@ def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> 
                 "Export both as one network, or run them in their own program and record that: "
                 "`g1stream record`.",
             )
+    fed_back = values.setdefault("feedback", network.fed_back)
+    if {*fed_back} != {*network.inputs} or not {*fed_back.values()} <= {*network.outputs}:
+        takes = ", ".join(f"{name} {size}" for name, size in network.inputs.items()) or "nothing"
+        raise ConfigError(
+            f"{where[0].upper()}{where[1:]} takes {takes} beside an observation: a state that is "
+            "fed back, or the output of another network, such as an encoder.",
+            f"Write to {beside(network.path)} which output each state is in the next step, such as "
+            'feedback = { h_in = "h_out" }, or export all of it as one network.',
+        )
     if not 0 < n_actions <= N_JOINTS:
         found = [name for name, size in network.outputs.items() if 0 < size <= N_JOINTS]
         raise ConfigError(

@@ -84,6 +84,8 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
         limits = [one["clip"] for one in values.get("terms") or () if "clip" in one]
         for _lowest, _highest in (*limits, *(values.get("target_clip") or ())):
             pass  # each is a pair
+        if "feedback" in values:
+            values["feedback"] = {name: str(one) for name, one in values["feedback"].items()}
         return Facts(where, values)
     except G1StreamError:
         raise

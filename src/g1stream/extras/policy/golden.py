@@ -159,6 +159,7 @@ def compare_golden(
         names = contract.joint_names if term.size == len(contract.joint_names) else []
         pair = ours[:, at], theirs[:, at]
         terms[term.name] = _difference(*pair, names, left_out, elsewhere)
+    network.begin(contract.feedback)
     acted = np.array([network.act(one, output=contract.action) for one in run["obs"]])
     if not np.isfinite(acted).all():
         raise ConfigError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -43,7 +43,7 @@ def _end_long_runs() -> None:
 
 
 class Network:
-    """A network from an observation, and maybe a time step, to an action.
+    """A network from an observation, and maybe a time step and states, to an action.
 
     Args:
         path: path of the ONNX file, or name of a published policy.
@@ -55,6 +55,9 @@ class Network:
         width: width of the observation.
         outputs: width of each output, 0 if it is not that of an action; by name.
         first: name of the first output.
+        inputs: shape of each input beside the observation and the time step, by name; a dimension
+            of no known size is 1.
+        fed_back: the output X_out for each of these that is called X_in, as rsl_rl exports states.
         holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
         data_sha256: hash of the external data, of all files one after the other; None without any.
@@ -102,18 +105,27 @@ class Network:
         self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
         self._observation = observations[0] if observations else ""
         self.width = _width(shapes[self._observation]) if observations else 0
-        if len(observations) > 1:
-            raise ConfigError(
-                f"{self.path} takes {_shown(shapes)}: beside an observation, a state that is fed "
-                "back or the output of another network, such as an encoder.",
-                "Export all of it as one network with one input (1, width), or run it in its own "
-                "program and record that: `g1stream record`.",
-            )
+        self.inputs = {
+            name: tuple(size if isinstance(size, int) else 1 for size in shapes[name])
+            for name in observations[1:]
+        }
+        pairs = ((name, name.removesuffix("_in") + "_out") for name in self.inputs)
+        self.fed_back = {name: output for name, output in pairs if output in self.outputs}
+        self.begin({})
         if not self.width:
             raise ConfigError(
                 f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
+
+    def begin(self, feedback: Mapping[str, str]) -> None:
+        """Begin a run, with zeros as states.
+
+        Args:
+            feedback: the output that is each state in the next step, by the name of its input.
+        """
+        self._feedback = feedback
+        self._states = {name: np.zeros(size, np.float32) for name, size in self.inputs.items()}
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
         """All outputs for one observation (width,), by name and without the batch dimension.
@@ -127,7 +139,8 @@ class Network:
         """
         for value in self._step.values():
             value[:] = step
-        feed = {self._observation: observation.astype(np.float32)[None], **self._step}
+        observed = {self._observation: observation.astype(np.float32)[None]}
+        feed = observed | self._step | self._states
         # Signals are not handled meanwhile, as Python does so between two of its instructions.
         options = self._run_options()
         options.log_severity_level = 4
@@ -142,6 +155,8 @@ class Network:
             ) from error
         finally:
             del _RUNNING[id(options)]
+        given = dict(zip(self.outputs, values, strict=True))
+        self._states |= {name: given[output] for name, output in self._feedback.items()}
         batches = map(np.atleast_1d, values)  # a scalar may be an unused output
         return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 

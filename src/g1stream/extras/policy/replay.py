@@ -261,6 +261,14 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
     """The fields of `PolicyReplay` about actions."""
     replayed, order = np.zeros_like(steps.action), contract.order
     for i, observation in enumerate(steps.observation):
+        if not steps.step[i]:
+            network.begin(contract.feedback)
+        elif contract.feedback and (not i or steps.step[i] != steps.step[i - 1] + 1):
+            raise RecordingError(
+                f"The session lacks step {steps.step[i] - 1} of a policy whose states are not "
+                "recorded.",
+                "Replay a session from where the policy takes over the robot.",
+            )
         replayed[i, order] = network.act(observation, output=contract.action)
     differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
     # NaN has many bit patterns, which are all equal here.

@@ -193,6 +193,7 @@ class PolicyTargets(Source):
             return target
         if self._target is None:
             self._next = moment.time
+            self._network.begin(self.contract.feedback)
             self._observer.begin(self._state(moment), self._reference(target))
         # A step needs a new state: without one, the robot may not have obeyed the step before.
         new = moment.measured.arrived != self._arrived

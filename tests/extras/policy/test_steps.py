@@ -311,8 +311,10 @@ def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(fal
     found = replay_policy(changed(falling, unknown))
     assert (found.rebuilt, sum(found.left_out.values()), found.same) == (found.steps - 1, 1, True)
     found = replay_policy(changed(falling, lambda i, _: i != 5))
-    assert (found.rebuilt, found.steps) == (5, len(falling.policy) - 1)
-    assert not found.differing
+    assert (found.rebuilt, found.steps) == (found.steps - 1, len(falling.policy) - 1)
+    assert (found.same, found.differing) == (True, 0)
+    found = replay_policy(changed(falling, lambda i, _: i > 0))
+    assert found.rebuilt == 0  # the alignment of the motion with the robot is unknown
 
 
 def test_observations_with_a_history_are_recomputed(place):
@@ -325,6 +327,8 @@ def test_observations_with_a_history_are_recomputed(place):
     assert sizes(decoded("/policy/terms", row.data)) == TERMS
     replayed = replay_policy(session)
     assert (replayed.rebuilt, replayed.same) == (len(steps), True)
+    replayed = replay_policy(changed(session, lambda i, _: i != 4))
+    assert (replayed.rebuilt, replayed.same) == (replayed.steps - 5, True)
     later = session.sel(time=slice(float(steps.time[10]) - 0.001, None))
     assert replay_policy(later).rebuilt == 0  # what is before the part is unknown
     figures = policy_steps(session).terms["joint_vel_rel"]

@@ -133,9 +133,9 @@ class PolicyContract(Record, frozen=True):
     origin: dict[str, str]
 
     @property
-    def remembers(self) -> bool:
-        """Whether an observation has values of earlier steps, besides the last action."""
-        return self.lag > 0 or any(one.history + one.behind > 1 for one in self.terms)
+    def memory(self) -> int:
+        """Number of steps, the present one included, of which an observation has values."""
+        return self.lag + max(one.history + one.behind for one in self.terms)
 
     @property
     def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:

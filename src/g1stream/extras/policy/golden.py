@@ -125,7 +125,7 @@ def compare_golden(
         MotionError: as of `check_motion`.
     """
     run, reference = _read(path, contract, network), _reference(network, contract, motion)
-    left_out = max(contract.lag, *(one.history + one.behind for one in contract.terms))
+    left_out = contract.memory
     if len(run["obs"]) <= left_out:
         raise ConfigError(
             f"{path} has {len(run['obs'])} steps, of which {left_out} cannot be compared.",

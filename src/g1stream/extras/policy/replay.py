@@ -52,7 +52,7 @@ _SAME_TIME: Final = 1e-6
 
 #: Reasons why observations cannot be recomputed.
 _LACKS: Final = "their LowState or Reference is not in the session or not known"
-_LATER: Final = "the session lacks a step since the policy took over"
+_LATER: Final = "the session lacks an earlier step that they need"
 
 
 class ActionDifference(Record, frozen=True):
@@ -302,21 +302,21 @@ def _observations(
     rebuilt = np.full(steps.observation.shape, np.nan)
     left_out: dict[str, int] = {}
     observer = Observer(contract, session.robot)
-    before: int | None = None  # the last step that the observer has processed
+    aligned, before, in_a_row = not contract.anchor, -1, 0
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
-        known = s >= 0 and r >= 0
-        follows = not number or before == number - 1
-        if not (known and follows):
-            why = _LATER if known else _LACKS
-            left_out[why] = left_out.get(why, 0) + 1
-            # Without earlier values a step needs only the last action from the step before.
-            before = number if follows and number and not contract.remembers else None
-        else:
-            state = body(*(one[s] for one in own))
-            wanted = body(*(one[r] for one in its))
+        known, follows = s >= 0 and r >= 0, number in (0, before + 1)
+        before, in_a_row = number, in_a_row + 1 if known and follows else 0
+        if known:
+            state, wanted = body(*(one[s] for one in own)), body(*(one[r] for one in its))
             if not number:
                 observer.begin(state, wanted)
-            rebuilt[i], before = observer.observe(state, wanted), number
+                aligned = True
+            observed = observer.observe(state, wanted)
+        if aligned and (in_a_row > number or in_a_row >= contract.memory):
+            rebuilt[i] = observed
+        else:
+            why = _LATER if known else _LACKS
+            left_out[why] = left_out.get(why, 0) + 1
         if not steps.repeated[i]:
             observer.last_action = steps.action[i].astype(np.float64)[contract.order]
     for term in contract.terms:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
-    quat_rotate,
     quat_rotate_inverse,
     quat_to_rpy,
     rotation_matrices,
@@ -28,6 +27,8 @@ __all__ = ["REPEATED", "TERMS", "Body", "Inputs", "Pose", "body"]
 
 
 _ORIGIN: Final = np.zeros(3)
+#: Phase of the left and the right leg, rad. A robot in a run has no walking command: it stands.
+_STANDING: Final = np.full(2, np.pi)
 
 
 class Pose(NamedTuple):
@@ -79,29 +80,19 @@ class Inputs(NamedTuple):
     Attributes:
         state: state of the robot.
         reference: of a policy that tracks a motion.
-        anchor, reference_anchor: their poses of the anchor link.
-        yaw0: (4,) quaternion wxyz, from the reference's world to the robot's.
-        origin: origin of the reference's world and of the robot's, each (3,), m: the place of the
-            anchor link at the start of the motion, at height 0, because both have their floor
-            there.
+        anchor, reference_anchor: their poses of the anchor link, both in the robot's world.
         order: (joints,) motor index of each joint of the policy.
         default_pos: (joints,) rad.
         last_action: (joints,) output of the network in the step before.
-        velocity: (3,) command: forward and to the left, m/s, and turning left, rad/s.
-        phase: (2,) phase of the left and the right leg, rad; pi, pi while standing.
     """
 
     state: Body
     reference: Body
     anchor: Pose
     reference_anchor: Pose
-    yaw0: Floats
-    origin: tuple[Floats, Floats]
     order: NDArray[np.intp]
     default_pos: Floats
     last_action: Floats
-    velocity: Floats
-    phase: Floats
 
 
 class _Term(NamedTuple):
@@ -118,15 +109,13 @@ def _command(x: Inputs) -> Floats:
 
 
 def _anchor_orientation(x: Inputs) -> Floats:
-    turned = quat_mul(x.yaw0, x.reference_anchor.quat_wxyz)
-    matrix = rotation_matrices(quat_mul(quat_conj(x.anchor.quat_wxyz), turned))
+    turn = quat_mul(quat_conj(x.anchor.quat_wxyz), x.reference_anchor.quat_wxyz)
+    matrix = rotation_matrices(turn)
     return matrix[:, :2].ravel()
 
 
 def _anchor_position(x: Inputs) -> Floats:
-    begin, own_begin = x.origin
-    place = own_begin + quat_rotate(x.yaw0, x.reference_anchor.pos - begin)
-    return quat_rotate_inverse(x.anchor.quat_wxyz, place - x.anchor.pos)
+    return quat_rotate_inverse(x.anchor.quat_wxyz, x.reference_anchor.pos - x.anchor.pos)
 
 
 def _roll_pitch(of: Body) -> Floats:
@@ -150,11 +139,11 @@ TERMS: Final = {
     "base_lin_vel": _Term(3, 0, "velocity of the pelvis in its axes", lambda x: _lin_vel(x.state)),
     "base_ang_vel": _Term(3, 0, "gyroscope of the pelvis", lambda x: x.state.ang_vel),
     "projected_gravity": _Term(3, 0, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
-    "velocity_commands": _Term(3, 0, "commanded vx, vy, yaw rate", lambda x: x.velocity),
-    "command_lin_vel": _Term(2, 0, "commanded vx, vy", lambda x: x.velocity[:2]),
-    "command_ang_vel": _Term(1, 0, "commanded yaw rate", lambda x: x.velocity[2:]),
-    "sin_phase": _Term(2, 0, "sine of the legs' phase", lambda x: np.sin(x.phase)),
-    "cos_phase": _Term(2, 0, "cosine of the legs' phase", lambda x: np.cos(x.phase)),
+    "velocity_commands": _Term(3, 0, "commanded vx, vy, yaw rate", lambda x: np.zeros(3)),
+    "command_lin_vel": _Term(2, 0, "commanded vx, vy", lambda x: np.zeros(2)),
+    "command_ang_vel": _Term(1, 0, "commanded yaw rate", lambda x: np.zeros(1)),
+    "sin_phase": _Term(2, 0, "sine of the legs' phase", lambda x: np.sin(_STANDING)),
+    "cos_phase": _Term(2, 0, "cosine of the legs' phase", lambda x: np.cos(_STANDING)),
     "joint_pos_rel": _Term(
         0, 1, "q - default", lambda x: x.state.joint_pos[x.order] - x.default_pos
     ),

@@ -21,8 +21,6 @@ __all__ = ["Observer", "anchor_poses", "pelvis_poses"]
 _ORIGIN: Final = np.zeros(3)
 _UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 _ON_FLOOR: Final = np.array([1.0, 1.0, 0.0])
-#: Inputs of a robot without a walking command: velocities, and the phases of its legs.
-_STANDS: Final = np.zeros(3), np.full(2, np.pi)
 
 
 class Observer:
@@ -52,7 +50,10 @@ class Observer:
         self.last_action = self._smoothed = np.zeros(len(self._default))
 
     def begin(self, state: Body, reference: Body) -> None:
-        """Align heading and place of the motion's anchor with the robot's at the start."""
+        """Align heading and place of the motion's anchor with the robot's at the start.
+
+        The worlds of both have their floor at height 0.
+        """
         own, its = self._anchor(state), self._anchor(reference)
         turns = (quat_from_yaw(yaw_of(one.quat_wxyz)) for one in (own, its))
         self._yaw0 = quat_mul(next(turns), quat_conj(next(turns)))
@@ -76,18 +77,11 @@ class Observer:
         """
         contract, parts = self._contract, [_ORIGIN] * len(self._histories)
         self._frames.append(reference)
-        inputs = Inputs(
-            state,
-            self._frames[0],
-            self._anchor(state),
-            self._anchor(self._frames[0]),
-            self._yaw0,
-            self._origin,
-            self._order,
-            self._default,
-            self.last_action,
-            *_STANDS,
-        )
+        reference = self._frames[0]
+        its, (begin, own_begin) = self._anchor(reference), self._origin
+        place = own_begin + quat_rotate(self._yaw0, its.pos - begin)
+        poses = self._anchor(state), Pose(place, quat_mul(self._yaw0, its.quat_wxyz))
+        inputs = Inputs(state, reference, *poses, self._order, self._default, self.last_action)
         now: dict[str, Floats] = {}
         for at in self._own_first:
             term, history, limits = contract.terms[at], self._histories[at], self._limits[at]

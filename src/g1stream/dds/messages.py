@@ -287,7 +287,7 @@ class PolicyStep(Message):
         repeated: () uint32, number of steps in a row in which the last finite action replaced one
             that is not finite; 0 for a finite action.
         n_observation: () uint32, number of observed values.
-        observation: (1024,) float32, input of the network.
+        observation: (2048,) float32, input of the network.
         action: (29,) float32, output of the network, motor order.
     """
 

@@ -134,7 +134,7 @@ Policy_ = idl_struct(
     **_each(uint64, "tick state_published state_received"),
     **_each(float64, "state_age motion_time inference_time"),
     **_each(uint32, "step repeated n_observation"),
-    observation=array[float32, 1024],
+    observation=array[float32, 2048],
     action=array[float32, 29],
 )
 

@@ -109,6 +109,8 @@ class Channel:
         build_schema: makes the schema's data.
         dds_topic: DDS topic whose samples it holds, bit for bit; None for derived channels.
         latched: published once; later subscribers still need its message.
+        grown: if its type has grown, bytes of a message before, where those that were added begin,
+            and their number.
     """
 
     topic: str
@@ -119,6 +121,7 @@ class Channel:
     build_schema: Callable[[], bytes] = field(repr=False)
     dds_topic: str | None = None
     latched: bool = False
+    grown: tuple[int, int, int] = (0, 0, 0)
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -271,7 +274,10 @@ _ALL: Final = (
         "unitree_go/msg/SportModeState",
         "base as the robot estimates it",
     ),
-    _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
+    replace(
+        _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
+        grown=(4276, 4160, 4096),  # in 0.1 it had room for 1024 observed values
+    ),
     _policy("/policy/terms", "/policy by the names of terms and joints, with delays in ms"),
     _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
     _dds(

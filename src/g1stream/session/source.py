@@ -182,7 +182,15 @@ class FilesSource(SessionSource):
         names = {self._names[topic]: topic for topic in topics if topic in self._names}
         for file in self._of_messages:
             for name, messages in file.batches(set(names)):
-                yield names[name], messages
+                yield names[name], _as_now(names[name], messages)
+
+
+def _as_now(topic: str, messages: Messages) -> Messages:
+    """Messages with the type of today, with zeros where it has grown."""
+    before, at, more = CHANNELS[topic].grown if topic in CHANNELS else (0, 0, 0)
+    if not before or len(messages.data[0]) != before:
+        return messages
+    return messages._replace(data=[one[:at] + bytes(more) + one[at:] for one in messages.data])
 
 
 def _session_topics(
@@ -263,7 +271,7 @@ class SessionFiles(FilesSource):
             return super().since(topic, number)
         (file,), name = self._files, self._names[topic]
         chunk, start = file.place_of(name, number)
-        return start, (messages for _, messages in file.batches({name}, chunk))
+        return start, (_as_now(topic, messages) for _, messages in file.batches({name}, chunk))
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""

@@ -12,7 +12,7 @@ from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose, ReferenceFrame, RobotState
+from g1stream.extras.policy.observation import body
 from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.source import PolicyTargets
 from g1stream.robot.joints import JOINT_NAMES
@@ -182,9 +182,9 @@ def test_histories_of_a_deploy_yaml(deployed):
 
 def observed(contract, rates):
     """Observations of gyroscopes whose three values are alike."""
-    observer, zero, pose = Observer(contract), np.zeros(29), Pose(np.zeros(3), UPRIGHT)
-    states = [RobotState(zero, zero, UPRIGHT, np.full(3, one), zero[:3], pose) for one in rates]
-    return [observer.observe(one, ReferenceFrame(zero, zero, pose)) for one in states]
+    observer, zero = Observer(contract, G1.default()), np.zeros(29)
+    states = [body(zero, zero, UPRIGHT, np.full(3, one)) for one in rates]
+    return [observer.observe(one, states[0]) for one in states]
 
 
 @pytest.mark.parametrize(
@@ -310,7 +310,7 @@ def test_joints_without_an_action_are_held(policy):
     contract = contract_of(path)
     assert [term.size for term in contract.terms] == [23, 23, 3]
     wrists = [i for i, name in enumerate(JOINT_NAMES) if "wrist" in name]
-    targets = Observer(contract).act(np.full(23, 10.0))
+    targets = Observer(contract, G1.default()).act(np.full(23, 10.0))
     assert targets[wrists].tolist() == [0.5, 0, 0, 0, 0, 0]
     assert np.delete(targets, wrists) == pytest.approx(np.full(23, 0.1 + 0.25 * 2.0))
     gains = PolicyTargets(Config(stream={"policy": str(path)}), G1.default()).traits.gains
@@ -374,7 +374,7 @@ def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, nam
     ("inputs", "outputs", "named"),
     [
         ([("obs", 200)], [("action", 23)], "23 actions"),
-        ([("obs", 1432)], [("action", 29)], "1432 values"),
+        ([("obs", 3000)], [("action", 29)], "3000 values"),
         ([("obs", 623)], [("policy", 623), ("action", 29)], 'action = "action"'),
         ([("obs", 655), ("hx", 128)], [("next_hx", 655), ("action", 29)], "hx (1, 128)"),
         ([("obs", 50)], [("token", 64)], "64 values"),
@@ -401,15 +401,27 @@ def test_an_encoder_beside_a_decoder_is_said_to_be_one_of_two_networks(tmp_path,
     assert "default_pos" not in said
 
 
-def test_a_network_of_the_sizes_of_pbhc_is_of_its_family(tmp_path):
-    """Its terms and their order are those of its published config.yaml, sorted by name."""
+#: Gains by motor, as in PBHC's config.yaml and in ASAP's sim2real/config.
+LEG = {"pbhc": [100, 100, 100, 150, 40, 40], "asap": [100, 100, 100, 200, 20, 20]}
+ARM = {"pbhc": [100, 100, 50, 50], "asap": [90, 60, 20, 60]}
+
+
+@pytest.mark.parametrize("family", LEG)
+def test_a_policy_of_pbhc_or_asap_is_of_the_family_that_is_named(tmp_path, family):
+    """Its terms and their order are those of PBHC's published config.yaml, sorted by name."""
     path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])
+    for line in ("", 'family = "another"', 'family = "twist2"'):
+        path.with_suffix(".toml").write_text(line)
+        with pytest.raises(ConfigError, match="PBHC or ASAP"):
+            contract_of(path)
+    path.with_suffix(".toml").write_text(f'family = "{family}"\naction_clip = 50.0')
     contract = contract_of(path)
+    assert contract.kp == [*LEG[family], *LEG[family], 400, 400, 400, *ARM[family], *ARM[family]]
     present = {"actions": 23, "base_ang_vel": 3, "dof_pos": 23, "dof_vel": 23}
     later = {"projected_gravity": 3, "ref_motion_phase": 1}
     sizes = [*present.values(), *(4 * one for one in (present | later).values()), *later.values()]
     assert [term.size for term in contract.terms] == sizes
-    assert contract.reference == "a motion"
+    assert (contract.reference, contract.action_clip, contract.clip) == ("a motion", 50.0, 100.0)
     held = set(JOINT_NAMES) - set(contract.joint_names)
     assert {name.split("_", 1)[1] for name in held} == {
         f"wrist_{axis}_joint" for axis in ("roll", "pitch", "yaw")

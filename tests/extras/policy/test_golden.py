@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError
-from g1stream.extras.policy.observer import frame_of
+from g1stream.extras.policy.observer import Observer
 from g1stream.motion.motion import Motion
 from known_policies import DANCE, POLICIES, needs_policies
 
@@ -183,12 +183,12 @@ def test_a_run_in_another_world_is_aligned(compared, golden):
 
 
 def test_a_change_that_cannot_be_tried_hides_no_difference(compared, golden, monkeypatch):
-    def without_pelvis(contract, *given):
+    def without_pelvis(contract, robot):
         if contract.anchor == "pelvis":
             raise ConfigError("The motion lacks the pelvis.", "")
-        return frame_of(contract, *given)
+        return Observer(contract, robot)
 
-    monkeypatch.setattr("g1stream.extras.policy.golden.frame_of", without_pelvis)
+    monkeypatch.setattr("g1stream.extras.policy.golden.Observer", without_pelvis)
     code, result = compared(obs=changed(golden, "base_ang_vel", lambda x: 0.25 * x))
     assert code == 1
     assert result["terms"]["base_ang_vel"]["relation"] == "ours x 0.25"

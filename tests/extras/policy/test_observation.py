@@ -8,8 +8,8 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import read_contract
 from g1stream.extras.policy.held_motion import check_motion, held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import ReferenceFrame, RobotState
-from g1stream.extras.policy.observer import Observer, anchor_poses
+from g1stream.extras.policy.observation import body
+from g1stream.extras.policy.observer import Observer, anchor_poses, pelvis_poses
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 from known_policies import DANCE, POLICIES, needs_policies
@@ -89,7 +89,13 @@ def contract_of(name, directory):
 def references(contract, network, robot):
     """The reference of a frame: of the motion in the network, or of the dance at 50 fps."""
     if contract.reference == "in the policy":
-        return lambda frame: held_frame(contract, network, frame)
+
+        def held(frame):
+            q, dq, *anchor = held_frame(network, contract, frame)
+            (pos,), (quat,) = pelvis_poses(contract.anchor, robot, q[None], *anchor)
+            return body(q, dq, quat, np.zeros(3), pos)
+
+        return held
     dance = load_motion(DANCE)
     times = np.arange(int(dance.duration * 50) + 1) * dance.fps / 50.0
     joints = np.stack(
@@ -98,11 +104,7 @@ def references(contract, network, robot):
     velocity = np.gradient(joints, 0.02, axis=0)
     turns = Rotation.from_quat(dance.root_quat_wxyz[:, [1, 2, 3, 0]])
     quats = Slerp(np.arange(dance.n_frames), turns)(times).as_quat()[:, [3, 0, 1, 2]]
-    return lambda frame: ReferenceFrame(
-        joints[frame],
-        velocity[frame],
-        anchor_poses(contract, robot, joints[[frame]], np.zeros(3), quats[frame])[0],
-    )
+    return lambda frame: body(joints[frame], velocity[frame], quats[frame], np.zeros(3))
 
 
 GOLDEN = json.loads((POLICIES / "golden.json").read_text()) if POLICIES.is_dir() else {}
@@ -115,21 +117,17 @@ def test_each_policy_observes_and_does_what_it_did_elsewhere(name, tmp_path):
     reference = None
     if contract.reference != "none":
         reference = references(contract, network, robot)
-    observer = Observer(contract)
+    observer = Observer(contract, robot)
     for number, step in enumerate(golden["steps"]):
         arrays = {key: np.array(value) for key, value in step.items() if key != "frame"}
         quat, pos = arrays["quat_wxyz"], arrays["base_pos_w"]
-        state = RobotState(
-            arrays["q"],
-            arrays["dq"],
-            quat,
-            arrays["gyroscope"],
-            arrays["base_lin_vel_b"],
-            # The position that is given is that of the anchor.
-            anchor_poses(contract, robot, arrays["q"][None], pos, quat)[0]._replace(pos=pos),
-        )
-        frame = reference(step["frame"]) if reference else None
-        if frame and not number:
+        # The position that is given is that of the anchor.
+        offset, _ = anchor_poses(contract.anchor, robot, arrays["q"][None], np.zeros(3), quat)
+        lin_vel = Rotation.from_quat(quat, scalar_first=True).apply(arrays["base_lin_vel_b"])
+        moves = arrays["gyroscope"], pos - offset[0], lin_vel
+        state = body(arrays["q"], arrays["dq"], quat, *moves)
+        frame = reference(step["frame"]) if reference else state
+        if reference and not number:
             observer.begin(state, frame)
             observer.observe(state, reference(step["frame"] - contract.lag))
         observer.last_action = arrays["last_action"]

@@ -548,6 +548,7 @@ def test_the_phase_is_that_of_the_whole_motion_without_the_standing(
 ):
     """PBHC observes the share of its motion that has passed; the bundled motion takes 14 s."""
     path = saved(tmp_path / "policy.onnx", [("actor_obs", 380)], [("action", 23)])
+    path.with_suffix(".toml").write_text('family = "pbhc"')
     stream = {"policy": str(path), "stand": 0.5, "beyond_limits": "anyway"}
     part = {"start": start} | ({"duration": duration} if duration else {})
     source = PolicyTargets(load_config(over={"stream": stream | part}), ROBOT)

@@ -1,5 +1,6 @@
 import json
 import shutil
+import struct
 
 import numpy as np
 import onnx
@@ -133,6 +134,40 @@ def test_a_table_names_terms_and_joints(falling):
     np.testing.assert_array_equal(table["base_ang_vel.2"], steps.observation[:, 66])
     np.testing.assert_array_equal(table["action.left_knee_joint"], steps.action[:, 3])
     assert len(table.columns) == 2 + 9 + 154 + 29
+
+
+def test_a_step_recorded_with_room_for_1024_values_is_read(falling, place):
+    """Its fields are those of the IDL of that time, one after the other."""
+    now, before = struct.Struct("<3Q3d3I2048f29f"), struct.Struct("<3Q3d3I1024f29f")
+
+    def edit(topic, _, message):
+        if topic != "/policy":
+            return message.data
+        values = now.unpack(message.data[4:])
+        return message.data[:4] + before.pack(*values[: 9 + 1024], *values[9 + 2048 :])
+
+    written = copied(falling, falling.metadata, edit).save(place / "earlier.mcap")
+    earlier = g1stream.open_session(written)
+    for name in ("tick", "state_published", "motion_time", "step", "observation", "action"):
+        np.testing.assert_array_equal(getattr(earlier.policy, name), getattr(falling.policy, name))
+    with earlier.save(place / "again.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        steps = [value for *_, value in reader.iter_decoded_messages(["/policy"])]
+    np.testing.assert_array_equal(steps[-1].observation[:154], falling.policy.observation[-1])
+    np.testing.assert_array_equal(steps[-1].action, falling.policy.action[-1])
+
+
+def test_a_wide_observation_that_repeats_terms_is_replayed(place):
+    model = network_of(width=1432)
+    model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights(2e-3, 1432), "weights"))
+    onnx.save(model, path := place / "wide.onnx")
+    session = g1stream.rollout("demo", policy=path, config=config(), seconds=1.0)
+    assert session.policy.observation.shape[1] == 1432
+    found = replay_policy(session)
+    assert (found.same, found.differing, found.rebuilt) == (True, 0, len(session.policy))
+    wider = changed(session, lambda _, step: step.observation.__setitem__(1000, 3.0))
+    named = [name for name, one in replay_policy(wider).terms.items() if one.step is not None]
+    assert named == ["repeated.2"]
 
 
 def test_a_session_without_a_policy_has_none():
@@ -276,8 +311,10 @@ def test_a_lost_step_and_a_state_that_is_not_known_leave_out_what_needs_them(fal
     found = replay_policy(changed(falling, unknown))
     assert (found.rebuilt, sum(found.left_out.values()), found.same) == (found.steps - 1, 1, True)
     found = replay_policy(changed(falling, lambda i, _: i != 5))
-    assert (found.rebuilt, found.steps) == (5, len(falling.policy) - 1)
-    assert not found.differing
+    assert (found.rebuilt, found.steps) == (found.steps - 1, len(falling.policy) - 1)
+    assert (found.same, found.differing) == (True, 0)
+    found = replay_policy(changed(falling, lambda i, _: i > 0))
+    assert found.rebuilt == 0  # the alignment of the motion with the robot is unknown
 
 
 def test_observations_with_a_history_are_recomputed(place):
@@ -290,6 +327,8 @@ def test_observations_with_a_history_are_recomputed(place):
     assert sizes(decoded("/policy/terms", row.data)) == TERMS
     replayed = replay_policy(session)
     assert (replayed.rebuilt, replayed.same) == (len(steps), True)
+    replayed = replay_policy(changed(session, lambda i, _: i != 4))
+    assert (replayed.rebuilt, replayed.same) == (replayed.steps - 5, True)
     later = session.sel(time=slice(float(steps.time[10]) - 0.001, None))
     assert replay_policy(later).rebuilt == 0  # what is before the part is unknown
     figures = policy_steps(session).terms["joint_vel_rel"]

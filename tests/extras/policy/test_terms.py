@@ -3,7 +3,7 @@ import pytest
 
 from g1stream.config import RecordConfig
 from g1stream.dds.messages import POLICY, Batch, PolicyStep
-from g1stream.extras.policy.observation import TERMS
+from g1stream.extras.policy.terms import schema
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
@@ -34,7 +34,11 @@ def steps():
             {"projected_gravity": OBSERVED[:3], "base_lin_vel": OBSERVED[5:]},
         ),
         (("projected_gravity", "base_lin_vel.2"), {"projected_gravity": OBSERVED[:3]}),
-        (("projected_gravity", "of another version"), {"values": OBSERVED}),
+        (
+            ("projected_gravity", "of another version"),
+            {"projected_gravity": OBSERVED[:3], "values": OBSERVED},
+        ),
+        (("base_ang_vel", "repeated.2"), {"base_ang_vel": OBSERVED[:3], "values": OBSERVED}),
         (None, {"values": OBSERVED}),
     ],
 )
@@ -48,7 +52,9 @@ def test_the_steps_of_a_policy_have_the_names_of_its_terms(steps, names, expecte
     rows = [decoded(messages.topic, one) for one in messages.payloads]
     assert [row.delay_ms for row in rows] == [1.5, 21.5]
     assert (rows[0].step, rows[0].repeated, rows[0].inference_ms) == (7, 2, 0.04)
-    for name in {*TERMS, "values"} - {"motion_phase"}:
+    fields = schema().decode().partition("PolicyObservation\n")[2].partition("=")[0].split()[1::2]
+    assert {*fields} > {*expected}
+    for name in fields:
         np.testing.assert_array_equal(getattr(rows[1].observation, name), expected.get(name, []))
     assert [getattr(rows[0].action, name) for name in JOINT_NAMES] == list(range(29))
 

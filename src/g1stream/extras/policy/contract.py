@@ -14,13 +14,13 @@ from itertools import combinations
 from typing import Any, Final, Literal
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from g1stream.dds.messages import PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.families import TABLE, TERM_KEYS, as_list, beside, sources
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import TERMS
+from g1stream.extras.policy.observation import REPEATED, TERMS
 from g1stream.extras.policy.plausibility import doubts, refuse_implausible
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
@@ -54,6 +54,7 @@ class Term(Record, frozen=True):
         history: number of steps.
         behind: steps by which the newest of them is behind the present one.
         newest_first: whether the newest step comes first.
+        of: names of the terms whose values it has; empty if it has its own.
         scale: factor for all values, or one for each value of a step.
         clip: lowest and highest scaled value, each for all or for each value of a step; None
             without limits.
@@ -66,6 +67,7 @@ class Term(Record, frozen=True):
     history: int = 1
     behind: int = 0
     newest_first: bool = False
+    of: tuple[str, ...] = ()
     scale: list[float]
     clip: list[list[float]] | None = None
     formula: str
@@ -88,6 +90,7 @@ class PolicyContract(Record, frozen=True):
         joint_names: the joints with an action.
         default_pos: pose to which observed joint positions are relative, rad.
         action: output that is the action; the first one if empty.
+        feedback: output that is a state in the next step, by the name of its input; 0 at first.
         action_offset: targets of an action of 0, rad; `default_pos` if None.
         action_clip: largest magnitude of an action; None without a limit.
         action_smoothing: share of the smoothed action before in the next one.
@@ -109,6 +112,7 @@ class PolicyContract(Record, frozen=True):
     joint_names: list[str]
     default_pos: list[float]
     action: str = ""
+    feedback: dict[str, str] = Field(default_factory=dict)
     action_offset: list[float] | None = None
     action_scale: list[float]
     action_clip: float | None = None
@@ -129,9 +133,9 @@ class PolicyContract(Record, frozen=True):
     origin: dict[str, str]
 
     @property
-    def remembers(self) -> bool:
-        """Whether an observation has values of earlier steps, besides the last action."""
-        return self.lag > 0 or any(one.history + one.behind > 1 for one in self.terms)
+    def memory(self) -> int:
+        """Number of steps, the present one included, of which an observation has values."""
+        return self.lag + max(one.history + one.behind for one in self.terms)
 
     @property
     def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -166,10 +170,10 @@ class PolicyContract(Record, frozen=True):
         for names, keys in ((self.joint_names, _BY_ACTION), (JOINT_NAMES, _HELD)):
             for key in keys:
                 facts[key] = dict(zip(names, facts[key], strict=True)) if facts[key] else None
-        lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "")]
+        lines = [f"{key} = {_toml(one)}" for key, one in facts.items() if one not in (None, "", {})]
         for term in self.terms:
-            told = term.model_dump() | {"formula": term.value}
-            pairs = ((key, told[key]) for key in TERM_KEYS if told[key] is not None)
+            told = term.model_dump() | {"formula": None if term.of else term.value}
+            pairs = ((key, told[key]) for key in TERM_KEYS if told[key] not in (None, ()))
             lines += ["", "[[terms]]", *(f"{key} = {_toml(one)}" for key, one in pairs)]
         return "\n".join(lines)
 
@@ -290,6 +294,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         terms=terms,
         anchor=str(values["anchor"]) if uses_anchor else None,
         action=values.get("action", ""),
+        feedback=values["feedback"],
         action_smoothing=_number(values["action_smoothing"], "action_smoothing", where),
         reference=("in the policy" if network.holds_motion else "a motion") if tracks else "none",
         lag=_steps(values["lag"], "lag", where) if tracks else 0,
@@ -300,7 +305,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     )
 
 
-def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> None:
+def _check_playable(network: Network, values: dict[str, Any], where: str) -> None:
     """Refuse a network that cannot be played at all, or of which nothing is known."""
     action = str(values.get("action", network.first))
     most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)
@@ -313,6 +318,15 @@ def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> 
                 "Export both as one network, or run them in their own program and record that: "
                 "`g1stream record`.",
             )
+    fed_back = values.setdefault("feedback", network.fed_back)
+    if {*fed_back} != {*network.inputs} or not {*fed_back.values()} <= {*network.outputs}:
+        takes = ", ".join(f"{name} {size}" for name, size in network.inputs.items()) or "nothing"
+        raise ConfigError(
+            f"{where[0].upper()}{where[1:]} takes {takes} beside an observation: a state that is "
+            "fed back, or the output of another network, such as an encoder.",
+            f"Write to {beside(network.path)} which output each state is in the next step, such as "
+            'feedback = { h_in = "h_out" }, or export all of it as one network.',
+        )
     if not 0 < n_actions <= N_JOINTS:
         found = [name for name, size in network.outputs.items() if 0 < size <= N_JOINTS]
         raise ConfigError(
@@ -345,28 +359,37 @@ def _terms(values: Mapping[str, Any], n_joints: int, where: str) -> list[Term]:
             f"The observation of {where} has one term several times: {listed(twice)}.",
             "Give each term once, with its history if it has one.",
         )
+    sizes: dict[str, int] = {}  # of the terms with values of their own
+    for name, one in zip(named, given, strict=True):
+        one["formula"] = str(one.get("formula", TABLE["aliases"].get(name, name)))
+        if (formula := TERMS.get(one["formula"])) and not one.get("of"):
+            sizes[name] = formula.size + formula.by_joint * n_joints
     if values["history_by"] == "step":
         longest = max([_steps(one.get("history", 1), "history", where) for one in given], default=1)
         steps = range(longest)[::-1]
         given = [one | {"history": 1, "behind": step} for step in steps for one in given]
-    terms = [_term(one, n_joints, where, scale_first=values["scale_first"]) for one in given]
+    terms = [_term(one, sizes, where, scale_first=values["scale_first"]) for one in given]
     counts = Counter[str]()
     for at in sorted(range(len(terms)), key=lambda at: terms[at].behind):
         counts[name := terms[at].name] += 1
         if counts[name] > 1:
             terms[at] = terms[at].model_copy(update={"name": f"{name}.{counts[name]}"})
-    return terms
+    names = {term.named: term.name for term in terms}
+    return [term.model_copy(update={"of": tuple(names[one] for one in term.of)}) for term in terms]
 
 
-def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: bool) -> Term:
-    named = str(given["name"])
-    name = str(given.get("formula", TABLE["aliases"].get(named, named)))
-    if name not in TERMS:
+def _term(
+    given: Mapping[str, Any], sizes: Mapping[str, int], where: str, *, scale_first: bool
+) -> Term:
+    named, formula = str(given["name"]), given["formula"]
+    of = [str(one) for one in as_list(given.get("of", []))]
+    if unknown := [one for one in of or [named] if one not in sizes]:
         raise ConfigError(
-            f"The observation of {where} has the unknown term {named!r}.",
-            f"Known terms are {', '.join(TERMS)}.",
+            f"The observation of {where} has the unknown term {unknown[0]!r}.",
+            f"Known terms are {', '.join(sizes if of else TERMS)}.",
         )
-    size = TERMS[name].size + TERMS[name].by_joint * n_joints
+    name, size = REPEATED if of else formula, sum(sizes[one] for one in of or [named])
+    formula = f"those of {listed(of, 3)}" if of else TERMS[name].formula
 
     def values(given: Any, what: str) -> Floats:
         numbers = [
@@ -398,9 +421,10 @@ def _term(given: Mapping[str, Any], n_joints: int, where: str, *, scale_first: b
         history=history,
         behind=behind,
         newest_first=newest_first,
+        of=tuple(of),
         scale=scale.tolist(),
         clip=None if clip is None or np.abs(clip).min() >= _INFINITE else clip.tolist(),
-        formula=TERMS[name].formula + (f", {counted(behind, 'step')} before" if behind else ""),
+        formula=formula + (f", {counted(behind, 'step')} before" if behind else ""),
     )
 
 

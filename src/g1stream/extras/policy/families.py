@@ -24,7 +24,7 @@ __all__ = ["TABLE", "TERM_KEYS", "Facts", "as_list", "beside", "sources"]
 
 TABLE: Final = read_toml(Path(__file__).with_name("families.toml"), "table of families")
 """Lines to write for missing facts, defaults, ranges, names of terms, and the families."""
-TERM_KEYS: Final = ("name", "formula", "scale", "clip", "history", "behind", "newest_first")
+TERM_KEYS: Final = ("name", "formula", "of", "scale", "clip", "history", "behind", "newest_first")
 """Keys of a term."""
 
 
@@ -47,20 +47,33 @@ def sources(network: Network) -> Iterator[Facts]:
     Raises:
         ConfigError: a source cannot be read.
     """
-    if (own := beside(network.path)).exists():
-        yield _facts(str(own), partial(_of_toml, own))
+    own = Facts(str(beside(network.path)), {})
+    if beside(network.path).exists():
+        own = _facts(own.where, partial(_of_toml, beside(network.path)))
+    yield own
     yield Facts("g1stream's table of published policies", facts_of(network.sha256))
-    sizes = [network.width, network.outputs[network.first]]
-    for family in TABLE["families"].values():
+    families, sizes = TABLE["families"], [network.width, network.outputs[network.first]]
+    fitting = [name for name, one in families.items() if one.get("sizes") == sizes]
+    chosen = own.values.get("family", fitting[0] if len(fitting) == 1 else "")
+    if "joint_names" not in own.values and fitting and chosen not in fitting:
+        which = " or ".join(families[name]["about"] for name in fitting)
+        lines = " or ".join(f'family = "{name}"' for name in fitting)
+        raise ConfigError(
+            f"{network.path} may be of {which}: both have {sizes[0]} values and {sizes[1]} "
+            "actions, but other gains and another default pose.",
+            f"Write to {own.where}: {lines}.",
+        )
+    for name, family in families.items():
         about, file = family["about"], network.path.parent / family.get("file", "")
         if family.get("metadata") in network.metadata:
             read = partial(_of_metadata, family, network.metadata)
             yield _facts("metadata of the ONNX file", read)
         elif file.is_file():
             yield _facts(str(file), partial(_of_yaml, family, file))
-        elif family.get("sizes") != sizes:
+        elif name != chosen:
             continue
-        yield Facts(f"the family {about}", family.get("facts", {}))
+        like = families.get(family.get("like"), {})
+        yield Facts(f"the family {about}", like.get("facts", {}) | family.get("facts", {}))
         yield Facts(f"assumed: default of {about}", family.get("assumed", {}), assumed=True)
 
 
@@ -71,6 +84,8 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
         limits = [one["clip"] for one in values.get("terms") or () if "clip" in one]
         for _lowest, _highest in (*limits, *(values.get("target_clip") or ())):
             pass  # each is a pair
+        if "feedback" in values:
+            values["feedback"] = {name: str(one) for name, one in values["feedback"].items()}
         return Facts(where, values)
     except G1StreamError:
         raise

@@ -17,8 +17,8 @@ from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract
 from g1stream.extras.policy.held_motion import check_motion, held_frame
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import ReferenceFrame
-from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
+from g1stream.extras.policy.observation import Body, body
+from g1stream.extras.policy.observer import Observer, pelvis_poses
 from g1stream.extras.policy.plausibility import ORDERS
 from g1stream.extras.policy.rehearsal import slight_changes
 from g1stream.files import read_file
@@ -26,7 +26,7 @@ from g1stream.input_limits import UNPACKED
 from g1stream.motion.motion import Motion
 from g1stream.motion.npz import read_npy, unzip
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import is_unit
+from g1stream.robot.rotations import is_unit, quat_conj, quat_mul, quat_rotate, sign_continuous
 from g1stream.session.records import Record
 from g1stream.text import labelled, listed, table
 from g1stream.types import Floats
@@ -47,6 +47,7 @@ _STATE: Final = {
 }
 #: Values that differ by less than this share of the term's largest value, or of 1, are alike.
 _ALIKE: Final = 1e-4
+_UNKNOWN: Final = np.full(3, np.nan)
 #: Values below this share of the term's largest one show no factor.
 _SMALL: Final = 0.01
 
@@ -124,7 +125,7 @@ def compare_golden(
         MotionError: as of `check_motion`.
     """
     run, reference = _read(path, contract, network), _reference(network, contract, motion)
-    left_out = max(contract.lag, *(one.history + one.behind for one in contract.terms))
+    left_out = contract.memory
     if len(run["obs"]) <= left_out:
         raise ConfigError(
             f"{path} has {len(run['obs'])} steps, of which {left_out} cannot be compared.",
@@ -158,6 +159,7 @@ def compare_golden(
         names = contract.joint_names if term.size == len(contract.joint_names) else []
         pair = ours[:, at], theirs[:, at]
         terms[term.name] = _difference(*pair, names, left_out, elsewhere)
+    network.begin(contract.feedback)
     acted = np.array([network.act(one, output=contract.action) for one in run["obs"]])
     if not np.isfinite(acted).all():
         raise ConfigError(
@@ -206,7 +208,7 @@ def _read(path: Path, contract: PolicyContract, network: Network) -> dict[str, N
 
 def _reference(
     network: Network, contract: PolicyContract, motion: Motion | None
-) -> Callable[[PolicyContract, int], ReferenceFrame]:
+) -> Callable[[PolicyContract, int], Body]:
     """The reference of a time step, with the anchor of a contract.
 
     As in whole_body_tracking, joints are linear between frames, with central differences.
@@ -216,51 +218,59 @@ def _reference(
             raise ConfigError(
                 f"The policy {contract.path} tracks a motion, and none is given.", "Give --motion."
             )
-        return lambda contract, step: held_frame(contract, network, max(step, 0))
+        return lambda contract, step: _held(network, contract, max(step, 0))
     check_motion(contract, network, motion)
     sampled = [one for _, one in motion.samples(contract.rate, 0, motion.n_frames)]
     pos, quat = (
         np.concatenate([getattr(one, name) for one in sampled])
         for name in ("root_pos", "root_quat_wxyz")
     )
+    quat = sign_continuous(quat)
     at, frames = np.arange(len(pos)) * motion.fps / contract.rate, np.arange(motion.n_frames)
     joint_pos = np.transpose([np.interp(at, frames, one) for one in motion.joint_pos.T])
-    joint_vel = np.zeros_like(joint_pos)
+    joint_vel, lin_vel, turn = (np.zeros_like(one) for one in (joint_pos, pos, quat))
     if len(joint_pos) > 1:
-        joint_vel = np.gradient(joint_pos, 1.0 / contract.rate, axis=0)
+        joint_vel, lin_vel, turn = (
+            np.gradient(one, 1.0 / contract.rate, axis=0) for one in (joint_pos, pos, quat)
+        )
+    ang_vel = 2.0 * quat_mul(quat_conj(quat), turn)[:, 1:]
 
-    def frame(contract: PolicyContract, step: int) -> ReferenceFrame:
+    def frame(contract: PolicyContract, step: int) -> Body:
         i = min(max(step, 0), len(pos) - 1)
-        found = frame_of(contract, G1.default(), joint_pos[i], joint_vel[i], pos[i], quat[i])
+        found = body(joint_pos[i], joint_vel[i], quat[i], ang_vel[i], pos[i], lin_vel[i])
         return found._replace(phase=i / (contract.rate * motion.duration))
 
     return frame
 
 
+def _held(network: Network, contract: PolicyContract, step: int) -> Body:
+    """The reference of a step of the motion in a policy, which has no velocities of the pelvis."""
+    q, dq, *anchor = held_frame(network, contract, step)
+    (pos,), (quat,) = pelvis_poses(contract.anchor, G1.default(), q[None], *anchor)
+    return Body(q, dq, quat, _UNKNOWN, pos, _UNKNOWN)
+
+
 def _observations(
     run: Mapping[str, NDArray[Any]],
     contract: PolicyContract,
-    reference: Callable[[PolicyContract, int], ReferenceFrame],
+    reference: Callable[[PolicyContract, int], Body],
     *,
     aligned: bool,
 ) -> Floats:
     """Observations (N, width) of the states in the file."""
-    observer, robot, found = Observer(contract), G1.default(), []
+    observer, found = Observer(contract, G1.default()), []
     for step in range(len(run["obs"])):
         joint_pos = contract.in_motor_order(run["joint_pos"][step], contract.held_pos)
         joint_vel = contract.in_motor_order(run["joint_vel"][step])
         pos, quat = run["root_pos_w"][step], run["root_quat_w"][step]
-        state = state_of(contract, robot, joint_pos, joint_vel, quat, run["root_ang_vel_b"][step])
-        state = state._replace(
-            lin_vel=run["root_lin_vel_b"][step],
-            anchor=anchor_poses(contract, robot, joint_pos[None], pos, state.quat_wxyz)[0],
-        )
-        frame = None
+        lin_vel = quat_rotate(quat, run["root_lin_vel_b"][step])
+        state = body(joint_pos, joint_vel, quat, run["root_ang_vel_b"][step], pos, lin_vel)
+        wanted = state
         if contract.reference != "none":
-            frame = reference(contract, int(run["time_step"][step]))
-        if frame and aligned and not step:
-            observer.begin(state, frame)
-        found.append(observer.observe(state, frame))
+            wanted = reference(contract, int(run["time_step"][step]))
+        if aligned and not step:
+            observer.begin(state, wanted)
+        found.append(observer.observe(state, wanted))
         observer.last_action = run["action"][step]
     return np.array(found)
 
@@ -274,7 +284,7 @@ def _difference(
 ) -> Difference:
     """Compare values (N, K), the first row of which is step `first`; K names, if they are known."""
     apart = np.abs(ours - theirs)
-    rows = np.flatnonzero((apart > _tolerance(theirs)).any(axis=1))
+    rows = np.flatnonzero(~(apart <= _tolerance(theirs)).all(axis=1))  # NaN differs
     most = float(apart.max())
     if not len(rows):
         return Difference(max_abs=most)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.errors import ConfigError, MotionError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observation import Pose, ReferenceFrame
 from g1stream.extras.policy.observer import pelvis_poses
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import Evidence
@@ -20,12 +19,21 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["HeldMotion", "check_motion", "held_frame", "motion_in"]
+__all__ = ["HeldFrame", "HeldMotion", "check_motion", "held_frame", "motion_in"]
 
 #: Compared length of a given motion and that in the policy, s; their largest RMS difference, rad.
 _COMPARED, _SAME = 5.0, 0.05
 #: Most frames of a motion in a policy.
 _LONGEST: Final = 1 << 20
+
+
+class HeldFrame(NamedTuple):
+    """Joints (29,), rad and rad/s, and pose of the anchor: pos (3,) m and quat_wxyz (4,)."""
+
+    joint_pos: Floats
+    joint_vel: Floats
+    pos: Floats
+    quat_wxyz: Floats
 
 
 def motion_in(policy: str) -> str | None:
@@ -34,8 +42,8 @@ def motion_in(policy: str) -> str | None:
     return str(network.path) if network.holds_motion else None
 
 
-def held_frame(contract: PolicyContract, network: Network, step: int) -> ReferenceFrame:
-    """The reference of a step from the motion in a policy.
+def held_frame(network: Network, contract: PolicyContract, step: int) -> HeldFrame:
+    """The frame of a time step of the motion in a policy.
 
     Raises:
         ConfigError: the motion has no pose of the anchor.
@@ -46,8 +54,9 @@ def held_frame(contract: PolicyContract, network: Network, step: int) -> Referen
     }
     joint_pos, joint_vel = map(contract.in_motor_order, (out["joint_pos"], out["joint_vel"]))
     if {"ref_pos_xyz", "ref_quat_xyzw"} <= out.keys():  # holosoma
-        pose = Pose(out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"]))
-        return ReferenceFrame(joint_pos, joint_vel, pose)
+        return HeldFrame(
+            joint_pos, joint_vel, out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"])
+        )
     bodies = network.metadata.get("body_names", "").split(",")
     link = contract.anchor or "pelvis"
     if not {"body_pos_w", "body_quat_w"} <= out.keys() or link not in bodies:
@@ -55,9 +64,8 @@ def held_frame(contract: PolicyContract, network: Network, step: int) -> Referen
             f"The motion in {contract.path} has no pose of {link}.",
             "Export the policy again, with body_names in its metadata.",
         )
-    anchor = bodies.index(link)
-    pose = Pose(out["body_pos_w"][anchor], out["body_quat_w"][anchor])
-    return ReferenceFrame(joint_pos, joint_vel, pose)
+    at = bodies.index(link)
+    return HeldFrame(joint_pos, joint_vel, out["body_pos_w"][at], out["body_quat_w"][at])
 
 
 def check_motion(contract: PolicyContract, network: Network, motion: Motion) -> None:
@@ -80,7 +88,7 @@ def check_motion(contract: PolicyContract, network: Network, motion: Motion) -> 
         if numbers.stop >= most:
             break
     given = np.concatenate(parts)[:most]
-    held = [held_frame(contract, network, step).joint_pos for step in range(len(given))]
+    held = [held_frame(network, contract, step).joint_pos for step in range(len(given))]
     if (difference := float(np.sqrt(np.mean((given - held) ** 2)))) > _SAME:
         raise ConfigError(
             f"The policy {contract.path} contains another motion: its joint positions differ by "
@@ -119,10 +127,9 @@ class HeldMotion:
 
     def motion(self) -> Motion:
         contract, network = self._contract, self._network
-        frames = [held_frame(contract, network, step) for step in range(self._length())]
-        joint_pos = np.array([frame.joint_pos for frame in frames])
-        anchors = [frame.anchor for frame in frames]
-        root_pos, root_quat = pelvis_poses(contract, self._robot, joint_pos, anchors)
+        frames = [held_frame(network, contract, step) for step in range(self._length())]
+        joint_pos, _, *anchor = map(np.array, zip(*frames, strict=True))
+        root_pos, root_quat = pelvis_poses(contract.anchor, self._robot, joint_pos, *anchor)
         return Motion(
             name=self._file.path.stem,
             fps=self._file.fps or contract.rate,
@@ -145,5 +152,5 @@ class HeldMotion:
         return least + 1
 
     def _at(self, step: int) -> Floats:
-        frame = held_frame(self._contract, self._network, step)
-        return np.concatenate([frame.joint_pos, *frame.anchor])
+        joint_pos, _, *anchor = held_frame(self._network, self._contract, step)
+        return np.concatenate([joint_pos, *anchor])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.extras.policy.normaliser import normaliser
 from g1stream.extras.policy.published import LARGEST, policy_path, published
+from g1stream.files import read_file
 from g1stream.optional import import_extra
 from g1stream.types import Floats
 
@@ -21,6 +22,8 @@ __all__ = ["Network"]
 
 #: Longest run, s; a step of a policy takes milliseconds.
 _LONGEST: Final = 5.0
+#: Operators that may be between the observation and its normalisation.
+_PASSED: Final = {"Cast", "Squeeze", "Clip", "Identity"}
 #: Start, s of CLOCK_MONOTONIC, and options of the runs that have not ended.
 _RUNNING: Final[dict[int, tuple[float, Any]]] = {}
 
@@ -40,20 +43,24 @@ def _end_long_runs() -> None:
 
 
 class Network:
-    """A network from an observation, and maybe a time step, to an action.
+    """A network from an observation, and maybe a time step and states, to an action.
 
     Args:
         path: path of the ONNX file, or name of a published policy.
 
     Attributes:
         path: path of the file.
+        data: names of the files with external data beside it, which it names.
         metadata: its custom metadata, as text.
         width: width of the observation.
         outputs: width of each output, 0 if it is not that of an action; by name.
         first: name of the first output.
+        inputs: shape of each input beside the observation and the time step, by name; a dimension
+            of no known size is 1.
+        fed_back: the output X_out for each of these that is called X_in, as rsl_rl exports states.
         holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
-        data_sha256: hash of the external data `<name>.data` beside it; None without that file.
+        data_sha256: hash of the external data, of all files one after the other; None without any.
 
     Raises:
         ConfigError: it is no ONNX file, its inputs and outputs are not those of a policy, or it
@@ -63,9 +70,20 @@ class Network:
     def __init__(self, path: Path | str) -> None:
         runtime = import_extra("onnxruntime", "policy", "A policy needs")
         self.path = policy_path(path)
-        data = self._check_size()
-        self.sha256 = _sha256(self.path)
-        self.data_sha256 = _sha256(data) if data else None
+        self._onnx = import_extra("onnx", "policy", "A policy needs")
+        content = self._read(self.path.name)
+        self.sha256 = sha256(content).hexdigest()
+        try:
+            self._graph = self._onnx.load_model_from_string(content).graph
+        except Exception as error:  # the class of protobuf's errors is not public in onnx
+            raise self._unloadable(error) from error
+        tensors = [one for one in self._tensors(self._graph) if one.external_data]
+        entries = [one for tensor in tensors for one in tensor.external_data]
+        self.data = sorted({one.value for one in entries if one.key == "location"})
+        if outside := [one for one in self.data if one.startswith("/") or ".." in Path(one).parts]:
+            raise self._unloadable(ValueError(f"{outside[0]} is not in the folder of the file"))
+        external = b"".join(map(self._read, self.data))
+        self.data_sha256 = sha256(external).hexdigest() if self.data else None
         self._run_options = runtime.RunOptions
         _end_long_runs()
         options = runtime.SessionOptions()
@@ -78,10 +96,7 @@ class Network:
             told, inputs = self._session.get_modelmeta(), self._session.get_inputs()
             self.metadata: dict[str, str] = dict(told.custom_metadata_map)
         except Exception as error:  # of onnxruntime, or of text that is not UTF-8
-            raise ConfigError(
-                f"{self.path} cannot be loaded as a policy: {_reason(error)}.",
-                "Give an ONNX file with standard operators, and its external data beside it.",
-            ) from error
+            raise self._unloadable(error) from error
         shapes = {one.name: list(one.shape) for one in inputs}
         self._step = {"time_step": np.zeros((1, 1), np.float32)} if "time_step" in shapes else {}
         observations = [name for name in shapes if name != "time_step"]
@@ -90,18 +105,27 @@ class Network:
         self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
         self._observation = observations[0] if observations else ""
         self.width = _width(shapes[self._observation]) if observations else 0
-        if len(observations) > 1:
-            raise ConfigError(
-                f"{self.path} takes {_shown(shapes)}: beside an observation, a state that is fed "
-                "back or the output of another network, such as an encoder.",
-                "Export all of it as one network with one input (1, width), or run it in its own "
-                "program and record that: `g1stream record`.",
-            )
+        self.inputs = {
+            name: tuple(size if isinstance(size, int) else 1 for size in shapes[name])
+            for name in observations[1:]
+        }
+        pairs = ((name, name.removesuffix("_in") + "_out") for name in self.inputs)
+        self.fed_back = {name: output for name, output in pairs if output in self.outputs}
+        self.begin({})
         if not self.width:
             raise ConfigError(
                 f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
+
+    def begin(self, feedback: Mapping[str, str]) -> None:
+        """Begin a run, with zeros as states.
+
+        Args:
+            feedback: the output that is each state in the next step, by the name of its input.
+        """
+        self._feedback = feedback
+        self._states = {name: np.zeros(size, np.float32) for name, size in self.inputs.items()}
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
         """All outputs for one observation (width,), by name and without the batch dimension.
@@ -115,7 +139,8 @@ class Network:
         """
         for value in self._step.values():
             value[:] = step
-        feed = {self._observation: observation.astype(np.float32)[None], **self._step}
+        observed = {self._observation: observation.astype(np.float32)[None]}
+        feed = observed | self._step | self._states
         # Signals are not handled meanwhile, as Python does so between two of its instructions.
         options = self._run_options()
         options.log_severity_level = 4
@@ -130,6 +155,8 @@ class Network:
             ) from error
         finally:
             del _RUNNING[id(options)]
+        given = dict(zip(self.outputs, values, strict=True))
+        self._states |= {name: given[output] for name, output in self._feedback.items()}
         batches = map(np.atleast_1d, values)  # a scalar may be an unused output
         return {name: value[0] for name, value in zip(self.outputs, batches, strict=True)}
 
@@ -140,44 +167,62 @@ class Network:
 
     @cached_property
     def normaliser(self) -> tuple[Floats, Floats] | None:
-        """Mean and deviation (width,) of its observation normalisation; None without one."""
-        return normaliser(self.path, self._observation, self.width)
+        """Mean and deviation (width,) with which it normalises its observation; None without them.
 
-    def _check_size(self) -> Path | None:
-        """Check the file's size, and return the external data beside it; None without it."""
+        A network of rsl_rl or holosoma begins with (observation - mean) / deviation, both constant,
+        if the training normalised: they are the statistics of the training.
+        """
+        constants = {one.name: one for one in self._graph.initializer}
+        divisors = {one.input[0]: one.input[1] for one in self._graph.node if one.op_type == "Div"}
+        values = self._observation
+        for node in self._graph.node:
+            if node.op_type in _PASSED and node.input[0] == values:
+                values = node.output[0]
+            elif node.op_type == "Sub" and node.input[0] == values:
+                names = node.input[1], divisors.get(node.output[0])
+                if not constants.keys() >= {*names}:
+                    return None
+                mean, deviation = (
+                    self._onnx.numpy_helper.to_array(constants[name], str(self.path.parent))
+                    .astype(np.float64)
+                    .ravel()
+                    for name in names
+                )
+                sound = mean.size == deviation.size == self.width and (deviation > 0.0).all()
+                return (mean, deviation) if sound and np.isfinite(mean).all() else None
+        return None
+
+    def _tensors(self, message: Any) -> Iterator[Any]:
+        """All tensors in a message of ONNX, those in attributes and inner graphs included."""
+        if isinstance(message, self._onnx.TensorProto):
+            yield message
+        else:
+            for field, value in message.ListFields():
+                if field.type == field.TYPE_MESSAGE:
+                    for one in [value] if hasattr(value, "ListFields") else value:
+                        yield from self._tensors(one)
+
+    def _read(self, name: str) -> bytes:
+        """The content of the file, or of external data beside it."""
         try:
-            size = self.path.stat().st_size
-            data = self.path.with_name(f"{self.path.name}.data")
-            external = data if data.exists() else None
-            size += external.stat().st_size if external else 0
+            return read_file(self.path.parent / name, LARGEST)
         except OSError as error:
             raise ConfigError(
-                f"The policy {self.path} cannot be read: {error.strerror}.",
-                f"Give the path of an ONNX file, or a published policy: {', '.join(published())}.",
+                f"The policy {self.path.parent / name} cannot be read: {error.strerror}.",
+                "Give the path of an ONNX file with its external data beside it and no more than "
+                f"the actor, or a published policy: {', '.join(published())}.",
             ) from error
-        if not self.path.is_file():
-            raise ConfigError(f"The policy {self.path} is not a file.", "Give an ONNX file.")
-        if size > LARGEST:
-            raise ConfigError(
-                f"The policy {self.path} has {size / 2**20:.0f} MB, more than the limit of "
-                f"{LARGEST / 2**20:.0f} MB.",
-                "Export the actor alone, without critic and optimiser.",
-            )
-        return external
+
+    def _unloadable(self, error: Exception) -> ConfigError:
+        return ConfigError(
+            f"{self.path} cannot be loaded as a policy: {_reason(error)}.",
+            "Give an ONNX file with standard operators, and its external data beside it.",
+        )
 
 
 def _width(shape: list[Any]) -> int:
     """The width of an input or output (1, width); 0 if it has another shape or no known one."""
     return shape[1] if len(shape) == 2 and isinstance(shape[1], int) else 0
-
-
-def _sha256(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(
-            f"The policy {path} cannot be read: {error.strerror}.", "Check the path."
-        ) from error
 
 
 def _reason(error: Exception) -> str:

@@ -7,6 +7,7 @@ of the right one: where the motion is tracked perfectly, joints, velocities and 
 from __future__ import annotations
 
 import logging
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -150,9 +151,9 @@ def rehearse_policy(
     default, near = Config().stream.stand, []
     with TemporaryDirectory() as folder:
         copy = Path(folder) / network.path.name
-        for file in network.path.absolute().parent.iterdir():  # external data have any name
-            if file.name != beside(copy).name:
-                copy.with_name(file.name).symlink_to(file)
+        for name in (copy.name, *network.data):
+            (copy.parent / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(network.path.parent / name, copy.parent / name)
 
         def tried(about: str, changed: PolicyContract, stand: float) -> tuple[Trial, float]:
             beside(copy).write_text(changed.toml(), encoding="utf-8")

@@ -17,7 +17,8 @@ import numpy as np
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.contract import PolicyContract, read_contract, recorded_contract
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observer import Observer, frame_of, state_of
+from g1stream.extras.policy.observation import body
+from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.odometry import OF_BASE
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.records import PolicyInfo, Record
@@ -51,7 +52,7 @@ _SAME_TIME: Final = 1e-6
 
 #: Reasons why observations cannot be recomputed.
 _LACKS: Final = "their LowState or Reference is not in the session or not known"
-_LATER: Final = "the session lacks a step since the policy took over"
+_LATER: Final = "the session lacks an earlier step that they need"
 
 
 class ActionDifference(Record, frozen=True):
@@ -260,6 +261,14 @@ def _actions(steps: PolicyStream, contract: PolicyContract, network: Network) ->
     """The fields of `PolicyReplay` about actions."""
     replayed, order = np.zeros_like(steps.action), contract.order
     for i, observation in enumerate(steps.observation):
+        if not steps.step[i]:
+            network.begin(contract.feedback)
+        elif contract.feedback and (not i or steps.step[i] != steps.step[i - 1] + 1):
+            raise RecordingError(
+                f"The session lacks step {steps.step[i] - 1} of a policy whose states are not "
+                "recorded.",
+                "Replay a session from where the policy takes over the robot.",
+            )
         replayed[i, order] = network.act(observation, output=contract.action)
     differing = steps.action.view(np.uint32) != replayed.view(np.uint32)
     # NaN has many bit patterns, which are all equal here.
@@ -287,32 +296,33 @@ def _observations(
     states = _found(session.measured.publish_time, steps.state_published.astype(np.int64))
     references = _references(session, steps)
     measured, reference = session.measured, session.reference
-    order, robot = contract.order, session.robot
+    own = measured.q, measured.dq, measured.imu_quat_wxyz, measured.gyroscope
+    turns = reference.root_quat_wxyz, reference.root_ang_vel
+    its = reference.q, reference.dq, *turns, reference.root_pos, reference.root_lin_vel
     rebuilt = np.full(steps.observation.shape, np.nan)
     left_out: dict[str, int] = {}
-    observer = Observer(contract)
-    before: int | None = None  # the last step that the observer has processed
+    observer = Observer(contract, session.robot)
+    aligned, before, in_a_row = not contract.anchor, -1, 0
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
-        known = s >= 0 and r >= 0
-        follows = not number or before == number - 1
-        if not (known and follows):
+        known, follows = s >= 0 and r >= 0, number in (0, before + 1)
+        before, in_a_row = number, in_a_row + 1 if known and follows else 0
+        if known:
+            state, wanted = body(*(one[s] for one in own)), body(*(one[r] for one in its))
+            if not number:
+                observer.begin(state, wanted)
+                aligned = True
+            observed = observer.observe(state, wanted)
+        if aligned and (in_a_row > number or in_a_row >= contract.memory):
+            rebuilt[i] = observed
+        else:
             why = _LATER if known else _LACKS
             left_out[why] = left_out.get(why, 0) + 1
-            # Without earlier values a step needs only the last action from the step before.
-            before = number if follows and number and not contract.remembers else None
-        else:
-            values = (measured.q[s], measured.dq[s], measured.imu_quat_wxyz[s])
-            state = state_of(contract, robot, *values, measured.gyroscope[s])
-            pose = reference.root_pos[r], reference.root_quat_wxyz[r]
-            frame = frame_of(contract, robot, reference.q[r], reference.dq[r], *pose)
-            if not number:
-                observer.begin(state, frame)
-            rebuilt[i], before = observer.observe(state, frame), number
         if not steps.repeated[i]:
-            observer.last_action = steps.action[i].astype(np.float64)[order]
-    for name, at in columns.items():
-        if name.partition(".")[0] in (*OF_BASE, "motion_phase"):  # not in the messages
-            rebuilt[:, at] = np.nan
+            observer.last_action = steps.action[i].astype(np.float64)[contract.order]
+    for term in contract.terms:
+        formulas = {name.partition(".")[0] for name in (term.name, *term.of)}
+        if formulas & {*OF_BASE, "motion_phase"}:  # not in the messages
+            rebuilt[:, columns[term.name]] = np.nan
     return rebuilt, left_out
 
 
@@ -322,7 +332,7 @@ def _sent(
     """The commands of the steps, which have their publish times, beside targets and gains."""
     if not session.topics.get(CommandStream.topic):
         return {}
-    observer, targets = Observer(contract), np.empty(steps.action.shape)
+    observer, targets = Observer(contract, session.robot), np.empty(steps.action.shape)
     for i, action in enumerate(steps.action.astype(np.float64)[:, contract.order]):
         targets[i] = observer.act(observer.last_action if steps.repeated[i] else action)
     sent, reference = session.command, session.reference

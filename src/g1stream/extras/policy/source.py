@@ -21,7 +21,8 @@ from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
-from g1stream.extras.policy.observer import Observer, anchor_poses, frame_of, state_of
+from g1stream.extras.policy.observation import Body, body
+from g1stream.extras.policy.observer import Observer
 from g1stream.extras.policy.odometry import OF_BASE, Odometry
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
@@ -31,7 +32,6 @@ from g1stream.robot.rotations import (
     quat_from_axis_angle,
     quat_from_yaw,
     quat_mul,
-    quat_rotate_inverse,
     tilt_of,
     yaw_of,
 )
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Setpoint
     from g1stream.dds.messages import Topic
-    from g1stream.extras.policy.observation import ReferenceFrame, RobotState
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
@@ -110,7 +109,7 @@ class PolicyTargets(Source):
             makes_targets=True,
             about=_about(contract, self._network),
         )
-        self._observer, self._order = Observer(contract), contract.order
+        self._observer, self._order = Observer(contract, robot), contract.order
         estimated = any(term.value in OF_BASE for term in contract.terms)
         self._load = FeetLoad(robot)
         self._lowered_by_bridge = False
@@ -196,6 +195,7 @@ class PolicyTargets(Source):
             return target
         if self._target is None:
             self._next = moment.time
+            self._network.begin(self.contract.feedback)
             self._observer.begin(self._state(moment), self._reference(target))
         # A step needs a new state: without one, the robot may not have obeyed the step before.
         new = moment.measured.arrived != self._arrived
@@ -255,25 +255,21 @@ class PolicyTargets(Source):
                 if time > _SOON and self._settings.stand > _SOON:
                     self._fall += "; a shorter --stand may prevent it"
 
-    def _state(self, moment: Moment) -> RobotState:
-        measured, imu = moment.measured, moment.measured.imu
-        values = (measured.q, measured.dq, imu.quat_wxyz, imu.gyroscope)
-        state = state_of(self.contract, self._robot, *values)
-        if not self._odometry:
-            return state
-        before, self._observed = self._observed, moment.robot_time
-        passed = 0.0 if before is None else moment.robot_time - before
-        self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
-        pose = self._odometry.pos, state.quat_wxyz
-        return state._replace(
-            lin_vel=quat_rotate_inverse(state.quat_wxyz, self._odometry.vel),
-            anchor=anchor_poses(self.contract, self._robot, state.joint_pos[None], *pose)[0],
-        )
+    def _state(self, moment: Moment) -> Body:
+        imu = moment.measured.imu
+        measured = moment.measured.q, moment.measured.dq, imu.quat_wxyz, imu.gyroscope
+        state = body(*measured)
+        if self._odometry:
+            before, self._observed = self._observed, moment.robot_time
+            passed = 0.0 if before is None else moment.robot_time - before
+            self._odometry.update(state.joint_pos, state.quat_wxyz, passed)
+            state = state._replace(pos=self._odometry.pos, lin_vel=self._odometry.vel)
+        return state
 
-    def _reference(self, target: Setpoint) -> ReferenceFrame:
-        pose = target.root_pos, target.root_quat_wxyz
-        frame = frame_of(self.contract, self._robot, target.q, target.dq, *pose)
-        return frame._replace(phase=float(np.interp(target.motion_time, *self._phases)))
+    def _reference(self, target: Setpoint) -> Body:
+        turns = target.root_quat_wxyz, target.root_ang_vel
+        found = body(target.q, target.dq, *turns, target.root_pos, target.root_lin_vel)
+        return found._replace(phase=float(np.interp(target.motion_time, *self._phases)))
 
 
 class BackToStanding:

@@ -15,6 +15,7 @@ import numpy as np
 from g1stream.analysis.summarise import percentiles
 from g1stream.errors import RobotError
 from g1stream.extras.policy.contract import PolicyContract, recorded_contract
+from g1stream.extras.policy.observation import REPEATED
 from g1stream.extras.policy.source import TILTED
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_rotate_inverse
@@ -50,9 +51,13 @@ _UNSEEN: Final = 5.0
 #: An interval of this many steps is a gap.
 _GAP: Final = 1.5
 #: Terms that do not depend on the robot.
-_ASKED: Final = ("motion_command", "velocity_commands", "command_lin_vel", "command_ang_vel")
-#: The previous action, which is analysed separately.
-_REPEATED: Final = "last_action"
+_ASKED: Final = (
+    *("velocity_commands", "command_lin_vel", "command_ang_vel", "motion_command", "motion_phase"),
+    *("motion_joint_pos", "motion_lin_vel_xy", "motion_height"),
+    *("motion_roll_pitch", "motion_yaw_rate"),
+)
+#: Values of other terms, and the previous action, which is analysed separately.
+_KNOWN: Final = (REPEATED, "last_action")
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 Kind = Literal["term", "action", "torque", "contact", "time"]
@@ -213,23 +218,32 @@ def policy_steps(session: Session) -> PolicySteps | None:
     )
 
 
+def _reference(
+    steps: PolicyStream, columns: Mapping[str, slice], contract: PolicyContract | None
+) -> dict[str, Floats]:
+    """Values (N, joints) that the terms of the joints have at the reference, if it is observed."""
+    for term in contract.terms if contract else ():
+        if contract and term.value in ("motion_command", "motion_joint_pos"):
+            values = steps.observation[:, columns[term.name]] / np.mean(term.scale)
+            n = len(contract.joint_names)
+            pos = values[:, :n] - np.array(contract.default_pos)
+            return {"joint_pos_rel": pos, "joint_vel_rel": values[:, n:]}
+    return {}
+
+
 def _terms(
     steps: PolicyStream, columns: Mapping[str, slice], contract: PolicyContract | None
 ) -> Iterator[_Trace]:
     """The terms of an observation; joints minus their reference if that is observed."""
-    asked = columns.get("motion_command")
     scales = {one.name: np.array(one.scale) for one in contract.terms} if contract else {}
+    reference = _reference(steps, columns, contract)
     for name, at in columns.items():
         values = steps.observation[:, at].astype(np.float64)
-        n, names = values.shape[1], [f"{name}[{i}]" for i in range(values.shape[1])]
-        if contract and n == len(contract.joint_names):
+        names = [f"{name}[{i}]" for i in range(values.shape[1])]
+        if contract and len(names) == len(contract.joint_names):
             names = [f"{name} of {short_name(joint)}" for joint in contract.joint_names]
-        relative = name in ("joint_pos_rel", "joint_vel_rel")
-        if contract and asked and relative and n == len(contract.joint_names):
-            part = asked.start if name == "joint_pos_rel" else asked.start + n
-            reference = steps.observation[:, part : part + n] / scales["motion_command"].mean()
-            less = np.array(contract.default_pos) if name == "joint_pos_rel" else 0.0
-            values = values - (reference - less) * scales[name]
+        if (wanted := reference.get(name)) is not None and wanted.shape == values.shape:
+            values = values - wanted * scales[name]
             names = [f"{one} minus the reference's" for one in names]
         yield _Trace("term", names, steps.time, values)
 
@@ -240,13 +254,10 @@ def _actions(
     """Actions minus the one that commands the reference, if that is observed."""
     names = [f"the action of {short_name(joint)}" for joint in JOINT_NAMES]
     values = steps.action.astype(np.float64)
-    asked = columns.get("motion_command")
-    if contract and asked:
-        scale = next(np.array(one.scale) for one in contract.terms if one.name == "motion_command")
-        n, offset = len(contract.joint_names), contract.action_offset or contract.default_pos
-        reference = steps.observation[:, asked.start : asked.start + n] / scale.mean()
-        less = (reference - np.array(offset)) / np.array(contract.action_scale)
-        values[:, contract.order] -= less
+    wanted = _reference(steps, columns, contract).get("joint_pos_rel")
+    if contract and wanted is not None:
+        offset = np.array(contract.action_offset or contract.default_pos) - contract.default_pos
+        values[:, contract.order] -= (wanted - offset) / np.array(contract.action_scale)
     return _Trace("action", names, steps.time, values)
 
 
@@ -279,7 +290,7 @@ def _left(traces: list[_Trace], fall: float, window: float) -> Iterator[Sign]:
     """Values that stay further from the middle of their range before the fall than ever before."""
     for kind, names, time, values in traces:
         before, late = time < fall - window, (time >= fall - window) & (time <= fall)
-        if before.sum() < 2 or not late.any() or names[0].startswith((*_ASKED, _REPEATED)):
+        if before.sum() < 2 or not late.any() or names[0].startswith((*_ASKED, *_KNOWN)):
             continue
         least, most = values[before].min(axis=0), values[before].max(axis=0)
         half = np.maximum(0.5 * (most - least), _FLOORS.get(kind, 1e-9))

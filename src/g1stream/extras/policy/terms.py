@@ -32,8 +32,8 @@ g1stream/PolicyObservation observation
 g1stream/PolicyAction action
 """
 #: Fields of the observation. A policy without one of the terms has no values there. All values are
-#: in the last field if their terms are not known. The type does not change for a new term.
-_OBSERVED: Final = (*(name for name in TERMS if name != "motion_phase"), "values")
+#: in the last field if a term has no field. The type does not change for a new term.
+_OBSERVED: Final = (*list(TERMS)[: list(TERMS).index("motion_phase")], "values")
 
 
 def schema() -> bytes:
@@ -57,8 +57,7 @@ def encode(steps: Batch, policy: PolicyInfo | None) -> MessageBatch:
     samples = Samples(POLICY, steps.data)
     published, logged = np.array(steps.publish_times), np.array(steps.log_times)
     names = policy.newest if policy else {}
-    if any(name.partition(".")[0] not in TERMS for name in names):  # of another version
-        names = {}
+    complete = bool(names) and all(name.partition(".")[0] in _OBSERVED for name in names)
     head = zip(
         *(samples[name].tolist() for name in ("step", "repeated")),
         *(1e3 * samples[name] for name in ("inference_time", "state_age")),
@@ -70,7 +69,7 @@ def encode(steps: Batch, policy: PolicyInfo | None) -> MessageBatch:
     for i, (numbers, observed, action) in enumerate(
         zip(head, samples["observation"], samples["action"], strict=True)
     ):
-        columns = names or {"values": slice(counts[i])}
+        columns = names if complete else {**names, "values": slice(counts[i])}
         values = [observed[columns.get(name, slice(0))] for name in _OBSERVED]
         sequences = (len(one).to_bytes(4, "little") + one.tobytes() for one in values)
         data = CDR_HEADER + _NUMBERS.pack(*numbers) + b"".join(sequences) + action.tobytes()

@@ -11,6 +11,7 @@ from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.sources import SOURCES, Changed, HeldTorques, Source, Status, Traits
 from g1stream.errors import ConfigError, MotionError
+from g1stream.motion.motion import Motion
 from g1stream.types import Phase
 
 STREAM = {"support": "feet", "feedforward": "dynamics", "ramp": 0.2, "hold": 0.1, "damp": 0.5}
@@ -97,6 +98,20 @@ def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
     assert ticks == planned.source.ticks
     assert ticks == [beside.get(stamp) for _, stamp in link.steps]
     assert len({*ticks}) == len(ticks) - 32 - 2
+
+
+@pytest.mark.usefixtures("policy")
+@pytest.mark.parametrize("own", [False, True])
+def test_a_joint_need_not_follow_a_motion_that_its_source_only_observes(
+    link, clock, own, monkeypatch
+):
+    """An elbow swings by 1.2 rad in the reference; the robot's rests at its mean."""
+    monkeypatch.setattr(Policy, "traits", Traits(GAINS, makes_targets=own))
+    angles = np.zeros((300, 29))
+    angles[:, 18] = 0.6 * np.sin(np.arange(300) / 8.0)
+    planned = plan(Motion.from_arrays(angles, fps=50.0), CONFIG, simulated=True)
+    stop = make_loop(planned, link, clock, settle=0).run().stop
+    assert (stop and stop.kind) == (None if own else "jam")
 
 
 @pytest.mark.usefixtures("policy")

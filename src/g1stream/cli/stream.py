@@ -201,7 +201,7 @@ class Stream(LiveCommand, MotionFlags):
         print_warning(*motion.warnings)
         if not config.stream.policy and (nets := [m for m in self.motions if m.endswith(".onnx")]):
             print_warning(
-                f"the motion of {nets[0]} is played without its network: on its own feet the robot "
+                f"{nets[0]} moves the robot without its network: on its own feet the robot "
                 f"falls. `--policy {nets[0]}` plays it with the network."
             )
         announce_wire(config)

@@ -451,6 +451,8 @@ def make_loop(
     if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
+    # A policy observes the motion, but need not follow it.
+    follow = plan.held & (not traits.makes_targets)
     start = plan.interval.start
     targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down)
     rests = [round(1e9 * (rest - start)) for rest in plan.rests if rest > start]
@@ -476,9 +478,7 @@ def make_loop(
             soft_start=0 if receiver.carries else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
-        LowStateChecks(
-            robot, plan.held, config.safety, config.constants, period, settings.wait_for
-        ),
+        LowStateChecks(robot, follow, config.safety, config.constants, period, settings.wait_for),
         Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,

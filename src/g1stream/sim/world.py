@@ -73,7 +73,7 @@ class Imu(NamedTuple):
     accelerometer: NDArray[np.float64]
 
     def copy(self) -> Imu:
-        return Imu(*(part.copy() for part in self))
+        return Imu(self.quat_wxyz.copy(), self.gyroscope.copy(), self.accelerometer.copy())
 
 
 class WorldState(NamedTuple):

@@ -410,6 +410,10 @@ class Samples:
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values
 
+    def crc_matches(self) -> NDArray[np.bool_]:
+        """(N,) whether the checksum of each sample is right."""
+        return np.asarray(self["crc"] == Crc(self._layout).compute_many(self._payloads))
+
 
 def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDArray[np.uint8]:
     """Encode (n, size) samples of a topic for `Samples`, with their checksums.
@@ -431,8 +435,8 @@ def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDA
         octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
         rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
     if "crc" in layout.fields:
-        crc, payloads = Crc(layout), rows[:, len(CDR_HEADER) :][:, : layout.size]
-        sums = np.array([crc.compute(row) for row in payloads], "<u4")
+        payloads = rows[:, len(CDR_HEADER) :][:, : layout.size]
+        sums = Crc(layout).compute_many(payloads).astype("<u4")
         payloads[:, layout["crc"].offsets + np.arange(4)] = sums[:, np.newaxis].view(np.uint8)
     return rows
 

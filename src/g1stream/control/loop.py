@@ -403,7 +403,7 @@ class StreamLoop:
 
 
 def make_loop(
-    plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9)
+    plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9), block: int = 1
 ) -> StreamLoop:
     """Make the loop that plays a plan, without starting it.
 
@@ -412,6 +412,7 @@ def make_loop(
         link: the link to the robot.
         clock: provides now, stamp and sleep_until.
         settle: minimum time in which other publishers are discovered before the first command, ns.
+        block: ticks of PLAY that are sampled together; more than one only without a wall clock.
 
     Raises:
         ConfigError: the margin to the limits leaves no range for a joint, or a setting is not a
@@ -428,7 +429,9 @@ def make_loop(
         hold = max(timing.hold, COAST_NS)
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
     start = plan.interval.start
-    targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down)
+    targets = Targets(
+        plan.trajectory, start=start, moved=plan.moved, way_down=down, period=period, block=block
+    )
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
         plan.source,

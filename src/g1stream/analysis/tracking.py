@@ -509,7 +509,7 @@ class Delays:
         self._middle = self._measured.mean(axis=0)
         self._measured -= self._middle
         self._total = self._measured.var(axis=0)
-        moved = np.ptp(self._reference(0.0, slice(None)), axis=0), np.ptp(self._measured, axis=0)
+        moved = np.ptp(self._reference(0.0, None), axis=0), np.ptp(self._measured, axis=0)
         self._moving = np.minimum(*moved) > _MOVES
         few = _spread(len(rows), _MOST_ON_GRID)
         self._grid = np.array([self._cost(lag, few) for lag in _LAGS.tolist()])
@@ -544,24 +544,21 @@ class Delays:
         )
 
     def _reference(
-        self, shift: float, joints: list[int] | slice, rows: NDArray[np.intp] | slice = slice(None)
+        self, shift: float, joints: list[int] | None, rows: NDArray[np.intp] | slice = slice(None)
     ) -> Floats:
-        """(T, J) reference of some joints, `shift` steps before the compared states, or some."""
+        """(T, J) reference of joints (None: all), `shift` steps before states (all or `rows`)."""
         at = self._at[rows] - shift * _STEP
         after = np.searchsorted(self._times, at).clip(1, len(self._times) - 1)
         earlier, later = self._times[after - 1], self._times[after]
         weight = (at - earlier) / np.maximum(later - earlier, np.finfo(float).tiny)
-        before, then = (
-            self._q[one, joints] if isinstance(joints, slice) else self._q[np.ix_(one, joints)]
-            for one in (after - 1, after)
-        )
-        q: Floats = before.astype(np.float64, copy=False)
-        q += weight[:, np.newaxis] * (then - q)
-        return q
+        around = (one if joints is None else np.ix_(one, joints) for one in (after - 1, after))
+        q, later = (self._q[where].astype(np.float64, copy=False) for where in around)
+        found: Floats = q + weight[:, np.newaxis] * (later - q)
+        return found
 
     def _cost(self, shift: float, rows: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """(J,) the unexplained variance of every joint, rad^2."""
-        return _regress(self._reference(shift, slice(None), rows), self._measured[rows])[1]
+        return _regress(self._reference(shift, None, rows), self._measured[rows])[1]
 
     def _ci95(self, shift: float, joints: list[int], q: Floats) -> float | None:
         """As in `Delay`, from the reference q (T, J) of the joints at the delay."""

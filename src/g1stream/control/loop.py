@@ -429,9 +429,8 @@ def make_loop(
         hold = max(timing.hold, COAST_NS)
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
     start = plan.interval.start
-    targets = Targets(
-        plan.trajectory, start=start, moved=plan.moved, way_down=down, period=period, block=block
-    )
+    ticks = range(0, block * period, period)
+    targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down, block=ticks)
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed)
     feedforward = FeedForward(
         plan.source,

@@ -214,9 +214,7 @@ class Targets:
             starts.
         way_down: motion with which HOLD ends; None: no motion. With it, RAMP begins with a lifted
             pelvis. A simulator that holds the pelvis there lowers the robot onto its feet.
-        period: time between ticks, ns.
-        block: ticks of PLAY that are sampled together. Many take less time than one by one, but all
-            of it in one tick, so they are for a loop without a wall clock.
+        block: ticks of PLAY that are sampled together, as ns since the first one.
 
     Attributes:
         first: the target at `start`.
@@ -230,11 +228,9 @@ class Targets:
         start: float,
         moved: NDArray[np.bool_],
         way_down: WayDown | None = None,
-        period: int = 0,
-        block: int = 1,
+        block: range = range(1),
     ) -> None:
-        self._trajectory = trajectory
-        self._period, self._block = period, block
+        self._trajectory, self._block = trajectory, block
         self._start = start
         self._moved = None if moved.all() else moved
         self._lift = np.array([0.0, 0.0, _LIFT if way_down else 0.0])
@@ -276,16 +272,15 @@ class Targets:
     def _playing(self, elapsed: int, timing: Timing) -> Setpoint:
         time = self._time(elapsed, timing)
         if time not in self._sampled:
-            follows = self._time(elapsed - self._period, timing) in self._sampled
-            ticks = range(self._block if follows else 1)
-            self._sample([self._time(elapsed + i * self._period, timing) for i in ticks])
+            follows = self._time(elapsed - self._block.step, timing) in self._sampled
+            block = self._block if follows else range(1)
+            self._sample([self._time(elapsed + later, timing) for later in block])
         return self._sampled[time]
 
     def _sample(self, times: list[float]) -> None:
         """Replace what is sampled by the targets at some times in the motion, s."""
-        if len(times) == 1:
-            points = [self._trajectory.sample(times[0])]
-        else:
+        points = [self._trajectory.sample(times[0])]
+        if len(times) > 1:
             rows = zip(*self._trajectory.sample_many(times), strict=True)
             points = [TrajectoryPoint(*row) for row in rows]
         made = map(Setpoint.from_point, times, points)

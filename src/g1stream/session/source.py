@@ -284,8 +284,7 @@ class MemorySource(SessionSource):
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Add one message; times in ns since the epoch."""
-        self._messages.setdefault(topic, []).append((log_time, publish_time, data))
-        self.topics[topic] = self.topics.get(topic, 0) + 1
+        self.write_batch(topic, [data], [log_time], [publish_time])
 
     def write_batch(
         self,

@@ -187,8 +187,17 @@ class SimulatedRobot:
         if refusal := self._refusal(values):
             self.report.refused[refusal] = self.report.refused.get(refusal, 0) + 1
             self.log(logging.WARNING, f"LowCmd refused: {refusal}", now)
-        else:
-            self._accept(values, now)
+            return
+        present = self._world.present
+        enabled = (command.motor_mode == 1) & present
+        n = np.count_nonzero(present)
+        if off := n - np.count_nonzero(enabled):
+            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
+        if self._accepted_at is None:
+            self.log(logging.INFO, "LowCmd accepted", now)
+        self._accepted_at = now
+        self.report.commands += 1
+        self._motors = MotorCommand(enabled, *values)
 
     def _refusal(self, values: NDArray[np.float32]) -> str:
         command = self._low_cmd
@@ -201,18 +210,6 @@ class SimulatedRobot:
         if not np.isfinite(values).all():
             return "a value is not finite"
         return ""
-
-    def _accept(self, values: NDArray[np.float32], now: int) -> None:
-        present = self._world.present
-        enabled = (self._low_cmd.motor_mode == 1) & present
-        if off := np.count_nonzero(present & ~enabled):
-            n = np.count_nonzero(present)
-            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
-        if self._accepted_at is None:
-            self.log(logging.INFO, "LowCmd accepted", now)
-        self._accepted_at = now
-        self.report.commands += 1
-        self._motors = MotorCommand(enabled, *values)
 
 
 def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:

@@ -176,3 +176,35 @@ def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(tra
         for part in ("q", "dq", "ddq"):
             assert getattr(target, part)[12:] == pytest.approx(getattr(other, part)[12:])
         assert target.root_pos.tolist() == other.root_pos.tolist()
+
+
+@pytest.mark.parametrize("moved", [ALL, np.arange(29) < 12])
+@pytest.mark.parametrize("offset", [0, 700_001])  # ns of the first tick of PLAY
+def test_a_block_of_ticks_is_what_each_alone_is(trajectory, monkeypatch, moved, offset):
+    """Each tick needs the target of its own time and of the next tick."""
+    period, play = 2_000_000, 300_000_000
+    timing = Timing(wait=0, ramp=0, play=play, hold=50_000_000, damp=0)
+    sampled = []
+    sample = type(trajectory).sample
+    monkeypatch.setattr(
+        type(trajectory), "sample", lambda self, t: (sampled.append(t), sample(self, t))[1]
+    )
+    found = []
+    for block in (1, 16):
+        one = Targets(trajectory, start=0.1, moved=moved, block=range(0, block * period, period))
+        one.begin(np.linspace(-0.4, 0.4, 29))
+        sampled.clear()
+        last, row = one.first, []
+        for tick in range(180):
+            elapsed = offset + tick * period
+            if 90 <= tick < 95:  # a late loop
+                elapsed += 300_000
+            for then in (elapsed, elapsed + period):
+                phase = Phase.PLAY if then < play else Phase.HOLD
+                last = one.at(phase, then if phase is Phase.PLAY else then - play, timing, last)
+                row.append(last)
+        found.append(row)
+        assert len(sampled) > 100 if block == 1 else len(sampled) < 20
+    for alone, together in zip(*found, strict=True):
+        for expected, got in zip(alone, together, strict=True):
+            assert np.array_equal(expected, got)

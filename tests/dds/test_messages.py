@@ -196,3 +196,13 @@ def test_fields_of_a_batch_are_those_the_official_sdk_serialised(golden):
     temperatures = [[motor[5] for motor in state["motor_state"][:29]] for state in states]
     np.testing.assert_array_equal(samples["motor_state.temperature"], temperatures)
     assert samples["motor_state.q"].dtype == np.float32
+
+
+@with_motors
+def test_samples_tell_whose_checksum_is_right(cls, array, fields, random_sample):
+    topic, message = LOWCMD if cls is LowCmd else LOWSTATE, cls()
+    data = []
+    for seed in range(6):
+        message.load(random_sample(cls, seed))
+        data.append(message.seal() if seed % 3 else message.tobytes())
+    assert Samples(topic, data).crc_matches().tolist() == [False, True, True] * 2

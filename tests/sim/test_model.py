@@ -144,3 +144,15 @@ def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot):
 def test_link_without_mass_is_refused(robot):
     with pytest.raises(SimError, match=r"mine\.urdf"):
         World(altered(robot, '<mass value="1.932"', '<mass value="0"'))
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging"])
+def test_shapes_for_a_viewer_do_not_change_the_physics(robot, support, servo):
+    bare, shown = World(robot, support), World(robot, support, visual=True)
+    assert (bare.model.geom_contype | bare.model.geom_conaffinity).all()
+    assert shown.model.ngeom > bare.model.ngeom
+    for _ in range(100):
+        for world in (bare, shown):
+            world.step(servo(q=0.3), 2)
+    assert bare.data.qpos.tobytes() == shown.data.qpos.tobytes()
+    assert bare.data.ncon == shown.data.ncon > 0

@@ -16,7 +16,6 @@ from g1stream.analysis.tracking import NothingToCompareError, parallel, tracking
 from g1stream.config import Config
 from g1stream.control.lowstate import LONGEST_INTERVAL
 from g1stream.control.stop import REMEDIES
-from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError
 from g1stream.events import GUARD
 from g1stream.input_limits import NUMBER
@@ -399,15 +398,11 @@ def _ignored_commands(session: Recording) -> Iterator[str]:
             )
     for kind in has:
         if kind is not MeasuredStream and len(session.stream(kind).read("mode_machine")):
-            command, right = LowCmd(), []
-            for data in session.some(kind.topic, _MOST_CHECKED):
-                command.load(data)
-                right.append(command.crc_matches())
-            if not all(right):
-                share = _share(right.count(False), len(right))
+            some = list(session.some(kind.topic, _MOST_CHECKED))
+            if wrong := int((~session.samples(kind, some).crc_matches()).sum()):
                 yield (
-                    f"{share} of the commands on {kind.topic} have a wrong CRC: the robot ignores "
-                    "them."
+                    f"{_share(wrong, len(some))} of the commands on {kind.topic} have a wrong CRC: "
+                    "the robot ignores them."
                 )
 
 

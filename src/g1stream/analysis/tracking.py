@@ -509,12 +509,11 @@ class Delays:
         self._middle = self._measured.mean(axis=0)
         self._measured -= self._middle
         self._total = self._measured.var(axis=0)
-        self._every = list(range(q.shape[1]))
-        moved = np.ptp(self._reference(0.0, self._every), axis=0), np.ptp(self._measured, axis=0)
+        moved = np.ptp(self._reference(0.0, None), axis=0), np.ptp(self._measured, axis=0)
         self._moving = np.minimum(*moved) > _MOVES
         few = _spread(len(rows), _MOST_ON_GRID)
-        self._grid = np.array([self._regress(lag, self._every, few)[1] for lag in _LAGS.tolist()])
-        self._unexplained = cache(lambda lag: self._regress(float(_LAGS[lag]), self._every)[1])
+        self._grid = np.array([self._cost(lag, few) for lag in _LAGS.tolist()])
+        self._unexplained = cache(lambda lag: self._cost(float(_LAGS[lag])))
 
     def of(self, joints: Sequence[int]) -> Delay | None:
         """The delay of some joints together; None if none moves or no delay fits best."""
@@ -533,57 +532,63 @@ class Delays:
         fraction = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         shift = float(_LAGS[best] + fraction)
         chosen = list(joints)
-        error = self._reference(shift, chosen) - (self._measured + self._middle)[:, chosen]
+        q = self._reference(shift, chosen)
+        error = q - (self._measured[:, chosen] + self._middle[chosen])
         explained = 1.0 - middle / self._total[moving].sum()
         return Delay(
             seconds=shift * _STEP,
-            ci95=self._ci95(shift, moving),
+            ci95=self._ci95(shift, moving, q[:, [joint in moving for joint in chosen]]),
             correlation=float(np.sqrt(np.clip(explained, 0.0, 1.0))),
             rmse=rms(error),
             std=error.std(axis=0),
         )
 
     def _reference(
-        self, shift: float, joints: list[int], rows: NDArray[np.intp] | slice = slice(None)
+        self, shift: float, joints: list[int] | None, rows: NDArray[np.intp] | slice = slice(None)
     ) -> Floats:
-        """(T, J) reference of some joints, `shift` steps before the compared states, or some."""
+        """(T, J) reference of joints (None: all), `shift` steps before states (all or `rows`)."""
         at = self._at[rows] - shift * _STEP
         after = np.searchsorted(self._times, at).clip(1, len(self._times) - 1)
         earlier, later = self._times[after - 1], self._times[after]
         weight = (at - earlier) / np.maximum(later - earlier, np.finfo(float).tiny)
-        q: Floats = self._q[np.ix_(after - 1, joints)].astype(np.float64, copy=False)
-        q += weight[:, np.newaxis] * (self._q[np.ix_(after, joints)] - q)
-        return q
+        around = (one if joints is None else np.ix_(one, joints) for one in (after - 1, after))
+        q, later = (self._q[where].astype(np.float64, copy=False) for where in around)
+        found: Floats = q + weight[:, np.newaxis] * (later - q)
+        return found
 
-    def _regress(
-        self, shift: float, joints: list[int], rows: NDArray[np.intp] | slice = slice(None)
-    ) -> tuple[Floats, Floats]:
-        """(J,) for some joints: the factor of the reference, and the unexplained variance."""
-        q = self._reference(shift, joints, rows)
-        q -= q.mean(axis=0)
-        measured = self._measured[rows][:, joints]
-        variance = np.einsum("tj,tj->j", q, q)
-        covariance = np.einsum("tj,tj->j", q, measured)
-        factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
-        total = np.square(measured).sum(axis=0)
-        unexplained: Floats = (total - factor * covariance) / len(q)
-        return factor, unexplained
+    def _cost(self, shift: float, rows: NDArray[np.intp] | slice = slice(None)) -> Floats:
+        """(J,) the unexplained variance of every joint, rad^2."""
+        return _regress(self._reference(shift, None, rows), self._measured[rows])[1]
 
-    def _ci95(self, shift: float, joints: list[int]) -> float | None:
+    def _ci95(self, shift: float, joints: list[int], q: Floats) -> float | None:
+        """As in `Delay`, from the reference q (T, J) of the joints at the delay."""
         of = ((self._at - self._at[0]) / _OBSERVATION).astype(np.intp)
         starts = np.flatnonzero(np.diff(of, prepend=-1))
         if len(starts) < _FEWEST_OBSERVATIONS:
             return None
-        factor = self._regress(shift, joints)[0]
-        expected = factor * self._reference(shift, joints)
+        measured = self._measured[:, joints]
+        factor = _regress(q, measured)[0]
         slope = self._reference(shift - 0.5, joints) - self._reference(shift + 0.5, joints)
         slope *= factor / _STEP
-        error = self._measured[:, joints] - expected
+        error = measured - factor * q
         error -= error.mean(axis=0)
         scores = np.add.reduceat((error * slope).sum(axis=1), starts)
         information = np.square(slope).sum()
         spread = np.sqrt(np.square(scores).sum() * len(starts) / (len(starts) - 1.0))
         return float(_t_975(len(starts) - 1) * spread / information)
+
+
+def _regress(q: Floats, measured: Floats) -> tuple[Floats, Floats]:
+    """(J,): the factor of a reference (T, J), and the variance of `measured` that it leaves.
+
+    `measured` (T, J) is that of the same times, without its mean over all times.
+    """
+    q = q - q.mean(axis=0)
+    variance = np.einsum("tj,tj->j", q, q)
+    covariance = np.einsum("tj,tj->j", q, measured)
+    factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
+    unexplained: Floats = (np.square(measured).sum(axis=0) - factor * covariance) / len(q)
+    return factor, unexplained
 
 
 def _spread(n: int, most: int) -> NDArray[np.intp]:

@@ -37,6 +37,9 @@ __all__ = ["LATENCY", "rollout"]
 LATENCY: Final = 100_000
 """Log time minus publish time of every message, ns: about the latency of DDS on loopback."""
 
+#: Ticks of the motion that are sampled together.
+_BLOCK: Final = 64
+
 
 def rollout(
     motion: Motion | str | Path | None = None,
@@ -121,7 +124,7 @@ def rollout(
         batch.log_times.append(stamp + LATENCY)
 
     link = Lockstep(simulated, announced or config.sim.held_by, on_sample=on_sample)
-    loop = make_loop(planned, link, link, settle=0)
+    loop = make_loop(planned, link, link, settle=0, block=_BLOCK)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         planned.log_events()
         loop.run()

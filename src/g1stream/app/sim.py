@@ -115,6 +115,7 @@ def make_world(robot: G1, settings: SimConfig) -> World:
         timestep=timestep,
         push=settings.push,
         seed=settings.seed,
+        visual=settings.viewer,
     )
 
 

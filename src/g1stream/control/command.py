@@ -126,21 +126,10 @@ class Composer:
         reference.tick[()] = tick
         reference.phase[()] = phase
         reference.motion_time[()] = due.motion_time
-        # Rounded like the LowCmd, because more digits have no meaning and do not compress.
-        np.concatenate(
-            (
-                due.q,
-                due.dq,
-                due.ddq,
-                commanded.tau,
-                due.root_pos,
-                due.root_quat_wxyz,
-                due.root_lin_vel,
-                due.root_ang_vel,
-            ),
-            out=self._published,
-            casting="same_kind",
-        )
+        # From q to root_ang_vel, with the torque of the LowCmd. They are rounded like the LowCmd,
+        # because more digits have no meaning and do not compress.
+        fields = (*due[1:4], commanded.tau, *due[5:9])
+        np.concatenate(fields, out=self._published, casting="same_kind")
         reference.target[:] = self._published
         if len(self._silent):
             for values in (command.q, command.dq, command.tau, command.kp, command.kd):

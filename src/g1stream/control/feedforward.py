@@ -155,9 +155,8 @@ class FeedForward:
 
     def _limited(self, tau: Floats) -> Floats:
         limited: Floats = np.minimum(np.maximum(tau, -self._limit), self._limit)
-        held = (limited != tau) & (self._limit > 0.0)
-        if np.count_nonzero(held):
-            self.saturated += held
+        if np.count_nonzero(limited != tau):
+            self.saturated += (limited != tau) & (self._limit > 0.0)
         return limited
 
 

@@ -427,7 +427,7 @@ class StreamLoop:
 
 
 def make_loop(
-    plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9)
+    plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9), block: int = 1
 ) -> StreamLoop:
     """Make the loop that plays a plan, without starting it.
 
@@ -436,6 +436,7 @@ def make_loop(
         link: the link to the robot.
         clock: provides now, stamp and sleep_until.
         settle: minimum time in which other publishers are discovered before the first command, ns.
+        block: ticks of PLAY that are sampled together; more than one only without a wall clock.
 
     Raises:
         ConfigError: the margin to the limits leaves no range for a joint, or a setting is not a
@@ -454,7 +455,8 @@ def make_loop(
     # A policy observes the motion, but need not follow it.
     follow = plan.held & (not traits.makes_targets)
     start = plan.interval.start
-    targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down)
+    ticks = range(0, block * period, period)
+    targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down, block=ticks)
     rests = [round(1e9 * (rest - start)) for rest in plan.rests if rest > start]
     schedule = Schedule(targets, timing, period, config.constants.ramp_speed, rests)
     feedforward = FeedForward(

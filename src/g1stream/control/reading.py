@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -74,20 +75,20 @@ class Reading:
 
         `dq` until there are three that are not older than `STALE`.
         """
-        return self._steady(_DQ) if self._comparable else self.dq
+        return self.dq if self._steady is None else self._steady[_DQ]
 
     @property
     def steady_rate(self) -> NDArray[np.floating]:
         """(3,) rad/s, the gyroscope, as `steady_dq`."""
-        return self._steady(_RATE) if self._comparable else self.imu.gyroscope
+        return self.imu.gyroscope if self._steady is None else self._steady[_RATE]
 
-    @property
-    def _comparable(self) -> bool:
+    @cached_property
+    def _steady(self) -> NDArray[np.floating] | None:
+        """The median of all values; None if they cannot be compared."""
         recent = self.recent
-        return len(recent) == _COMPARED and self.arrived - recent[0][0] <= STALE * 1e9
-
-    def _steady(self, part: slice) -> NDArray[np.floating]:
-        first, second, third = (values[part] for _, values in self.recent)
+        if len(recent) < _COMPARED or self.arrived - recent[0][0] > STALE * 1e9:
+            return None
+        (_, first), (_, second), (_, third) = recent
         low, high = np.minimum(first, second), np.maximum(first, second)
         steady: NDArray[np.floating] = np.maximum(low, np.minimum(high, third))
         return steady

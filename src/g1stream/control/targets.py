@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import numpy as np
 
 from g1stream.motion.blend import COAST, MINIMUM_JERK_PEAK, coast, minimum_jerk
+from g1stream.motion.spline import TrajectoryPoint
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
 from g1stream.types import Floats, Phase
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import StreamConfig
-    from g1stream.motion.spline import TrajectoryPoint
     from g1stream.motion.trajectory import Trajectory
 
 __all__ = ["COAST_NS", "LOWERED", "Ramp", "Setpoint", "Targets", "Timing", "WayDown"]
@@ -214,6 +214,7 @@ class Targets:
             starts.
         way_down: motion with which HOLD ends; None: no motion. With it, RAMP begins with a lifted
             pelvis. A simulator that holds the pelvis there lowers the robot onto its feet.
+        block: ticks of PLAY that are sampled together, as ns since the first one.
 
     Attributes:
         first: the target at `start`.
@@ -227,23 +228,24 @@ class Targets:
         start: float,
         moved: NDArray[np.bool_],
         way_down: WayDown | None = None,
+        block: range = range(1),
     ) -> None:
-        self._trajectory = trajectory
+        self._trajectory, self._block = trajectory, block
         self._start = start
         self._moved = None if moved.all() else moved
         self._lift = np.array([0.0, 0.0, _LIFT if way_down else 0.0])
         self.way_down = way_down
         self._from: Floats | None = None
         self.first = Setpoint.from_point(start, trajectory.sample(start))
-        # With a preview of one period, each time is sampled twice in a row.
-        self._playing = lru_cache(maxsize=1)(self._sample)
+        # With a preview of one period, each time is needed twice in a row.
+        self._sampled: dict[float, Setpoint] = {}
         self._planned = lru_cache(maxsize=1)(self._plan_way_down)
 
     def begin(self, q: NDArray[np.floating]) -> Floats:
         """Set the measured pose (29,) where RAMP starts, rad; return the distance to `first`."""
         self._from = np.asarray(q, dtype=np.float64).copy()
         self.first = self._of_moved(self.first)
-        self._playing.cache_clear()
+        self._sampled = {}
         return self.first.q - self._from
 
     def at(self, phase: Phase, elapsed: int, timing: Timing, last: Setpoint) -> Setpoint:
@@ -256,7 +258,7 @@ class Targets:
             last: the previous target, which DAMP keeps, and from which the way down continues.
         """
         if phase is Phase.PLAY:
-            return self._playing(self._time(elapsed, timing))
+            return self._playing(elapsed, timing)
         if phase is Phase.RAMP:
             return self._ramping(elapsed, timing)
         if phase is Phase.HOLD:
@@ -267,8 +269,22 @@ class Targets:
         """The motion time `elapsed` ns into PLAY, s."""
         return self._start + (elapsed if timing.play is None else min(elapsed, timing.play)) / 1e9
 
-    def _sample(self, time: float) -> Setpoint:
-        return self._of_moved(Setpoint.from_point(time, self._trajectory.sample(time)))
+    def _playing(self, elapsed: int, timing: Timing) -> Setpoint:
+        time = self._time(elapsed, timing)
+        if time not in self._sampled:
+            follows = self._time(elapsed - self._block.step, timing) in self._sampled
+            block = self._block if follows else range(1)
+            self._sample([self._time(elapsed + later, timing) for later in block])
+        return self._sampled[time]
+
+    def _sample(self, times: list[float]) -> None:
+        """Replace what is sampled by the targets at some times in the motion, s."""
+        points = [self._trajectory.sample(times[0])]
+        if len(times) > 1:
+            rows = zip(*self._trajectory.sample_many(times), strict=True)
+            points = [TrajectoryPoint(*row) for row in rows]
+        made = map(Setpoint.from_point, times, points)
+        self._sampled = dict(zip(times, map(self._of_moved, made), strict=True))
 
     def _of_moved(self, target: Setpoint) -> Setpoint:
         """The target with joints that are not moved at rest in the pose where RAMP starts."""
@@ -299,15 +315,15 @@ class Targets:
         )
 
     def _holding(self, elapsed: int, timing: Timing, last: Setpoint) -> Setpoint:
-        end = self._time(timing.play or 0, timing)
+        end = self._playing(timing.play or 0, timing)
         if self.way_down is None or elapsed < timing.hold:
-            return _coasting(self._playing(end), *coast(elapsed / 1e9, COAST))
-        return self._planned(end)((elapsed - timing.hold) / 1e9, last.q)
+            return _coasting(end, *coast(elapsed / 1e9, COAST))
+        return self._planned(end.motion_time)((elapsed - timing.hold) / 1e9, last.q)
 
     def _plan_way_down(self, time: float) -> Callable[[float, Floats], Setpoint]:
         if self.way_down is None:
             raise RuntimeError("there is no way down")
-        return self.way_down.plan(self._playing(time).at_rest())
+        return self.way_down.plan(self._sampled[time].at_rest())
 
 
 def _coasting(target: Setpoint, way: float, rate: float, acceleration: float) -> Setpoint:

@@ -12,6 +12,8 @@ from g1stream.robot.joints import N_JOINTS
 from g1stream.types import MAX_GAP_NS, Floats
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Setpoint
 
@@ -93,11 +95,8 @@ class RunningError:
         self._sums = ErrorSums()
         self._asked: deque[_Asked] = deque(maxlen=_REFERENCES)
         self._newest: Reading | None = None
-        self._rows = 0
-        self._around = np.empty((2, _BLOCK, N_JOINTS))  # the references before and after
-        self._times = np.empty((2, _BLOCK))
-        self._measured = np.empty((_BLOCK, N_JOINTS))
-        self._share = np.empty(_BLOCK)  # of the way between these two references, 0 to 1
+        # References before and after a state, the share of the way between them, 0 to 1, and q.
+        self._compared: list[tuple[_Asked, _Asked, float, NDArray[np.floating]]] = []
 
     def asked(self, stamp: int, target: Setpoint, *, playing: bool) -> None:
         """Add a reference that was published at `stamp`, ns since the epoch."""
@@ -126,23 +125,21 @@ class RunningError:
         if gap > MAX_GAP_NS or not measured.finite:
             self.excluded += 1
             return
-        row, self._rows = self._rows, self._rows + 1
-        self._around[0, row], self._around[1, row] = before.q, after.q
-        self._times[:, row] = before.motion_time, after.motion_time
-        self._measured[row] = measured.q
-        self._share[row] = (time - before.stamp) / gap
-        if self._rows == _BLOCK:
+        self._compared.append((before, after, (time - before.stamp) / gap, measured.q))
+        if len(self._compared) == _BLOCK:
             self._add()
 
     def _add(self) -> None:
-        rows, self._rows = slice(self._rows), 0
-        (q, later), (times, later_times) = self._around[:, rows], self._times[:, rows]
-        share = self._share[rows]
-        error = q + share[:, np.newaxis] * (later - q) - self._measured[rows]
+        *around, shares, measured = zip(*self._compared, strict=True)
+        self._compared.clear()
+        q, later = (np.array([one.q for one in asked]) for asked in around)
+        times, later_times = (np.array([one.motion_time for one in asked]) for asked in around)
+        share = np.array(shares)
+        error = q + share[:, np.newaxis] * (later - q) - np.array(measured)
         self._sums.add(error, times + share * (later_times - times))
 
     def finish(self) -> ErrorSums:
         """Finish after the last state, and return the errors of all states."""
-        if self._rows:
+        if self._compared:
             self._add()
         return self._sums

@@ -244,6 +244,11 @@ class Crc:
         np.take(self._padded, self._source, out=self._scratch, mode="clip")
         return crc32.mpeg_2(self._scratch.tobytes())
 
+    def compute_many(self, payloads: NDArray[np.uint8]) -> NDArray[np.uint32]:
+        """Compute the checksums (N,) of payloads (N, size)."""
+        rows = np.pad(payloads, ((0, 0), (0, 1))).take(self._source, axis=1)
+        return np.array([crc32.mpeg_2(row.tobytes()) for row in rows], np.uint32)
+
     def matches(self, payload: NDArray[np.uint8]) -> bool:
         """Return whether the checksum in a payload (size,) is right."""
         return int.from_bytes(payload[self._stored], "little") == self.compute(payload)

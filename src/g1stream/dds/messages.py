@@ -8,6 +8,7 @@ The messages have arrays of 35 motors, of which the views show the first 29, the
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -92,6 +93,8 @@ class _Motors(Message):
 
     #: Name of the array of motors in the IDL.
     motors: ClassVar[str]
+    #: The newest samples that this process has sealed; a rollout reads them in the same process.
+    _sealed: ClassVar[deque[bytes]] = deque(maxlen=4)
 
     def __init__(self) -> None:
         super().__init__()
@@ -118,11 +121,12 @@ class _Motors(Message):
     def seal(self) -> bytes:
         """Set the checksum and return the serialised sample."""
         self.crc[()] = self._crc.compute(self.payload)
-        return bytes(self._buffer)
+        self._sealed.append(sealed := bytes(self._buffer))
+        return sealed
 
     def crc_matches(self) -> bool:
         """Return whether the checksum is right."""
-        return self._crc.matches(self.payload)
+        return self._buffer in self._sealed or self._crc.matches(self.payload)
 
 
 class LowCmd(_Motors):
@@ -406,6 +410,10 @@ class Samples:
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values
 
+    def crc_matches(self) -> NDArray[np.bool_]:
+        """(N,) whether the checksum of each sample is right."""
+        return np.asarray(self["crc"] == Crc(self._layout).compute_many(self._payloads))
+
 
 def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDArray[np.uint8]:
     """Encode (n, size) samples of a topic for `Samples`, with their checksums.
@@ -427,8 +435,8 @@ def encode_samples(topic: Topic, values: Mapping[str, ArrayLike], n: int) -> NDA
         octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
         rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
     if "crc" in layout.fields:
-        crc, payloads = Crc(layout), rows[:, len(CDR_HEADER) :][:, : layout.size]
-        sums = np.array([crc.compute(row) for row in payloads], "<u4")
+        payloads = rows[:, len(CDR_HEADER) :][:, : layout.size]
+        sums = Crc(layout).compute_many(payloads).astype("<u4")
         payloads[:, layout["crc"].offsets + np.arange(4)] = sums[:, np.newaxis].view(np.uint8)
     return rows
 

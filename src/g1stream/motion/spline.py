@@ -150,13 +150,7 @@ class Spline:
 
     def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
         """The reference at times (N,), s: each array of the result has a row per time."""
-        inside, k, s = self._segments(times)
-        basis = np.zeros((len(s), 3, 4))
-        basis[:, 0] = np.stack([s * s * s, s * s, s, np.ones_like(s)], axis=-1)
-        basis[:, 1, :3] = np.stack([3.0 * s * s, 2.0 * s, np.ones_like(s)], axis=-1)
-        basis[:, 2, :2] = np.stack([6.0 * s, np.full_like(s, 2.0)], axis=-1)
-        basis[~inside, 1:] = 0.0
-        value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
+        value, k = self._values(times, 3, slice(None))
         rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
         return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
 
@@ -165,21 +159,23 @@ class Spline:
 
         Same as `sample_many`, in half the time.
         """
-        inside, k, s = self._segments(times)
-        basis = np.zeros((len(s), 2, 4))
-        basis[:, 0, 0], basis[:, 0, 1], basis[:, 0, 2], basis[:, 0, 3] = s * s * s, s * s, s, 1.0
-        basis[:, 1, 0], basis[:, 1, 1], basis[:, 1, 2] = 3.0 * s * s, 2.0 * s, 1.0
-        basis[~inside, 1] = 0.0
-        value = basis @ self._coefficients[k, :, :N_JOINTS]
-        return value[:, 0], value[:, 1]
+        (q, dq), _ = self._values(times, 2, slice(N_JOINTS))
+        return q, dq
 
-    def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
-        """For times (N,): whether the trajectory moves, the segment, and the time in it, s."""
+    def _values(
+        self, times: ArrayLike, orders: int, columns: slice
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        """Columns and their derivatives (orders, N, D) at times (N,), s; segments (N,)."""
         t = np.asarray(times, dtype=np.float64)
         inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
         t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
         k = np.minimum((t * self.fps).astype(np.intp), self._n_segments - 1)
-        return inside, k, t - k / self.fps
+        s, basis = t - k / self.fps, np.zeros((3, 4, len(t)))
+        basis[0] = s * s * s, s * s, s, np.ones_like(s)
+        basis[1, :3] = np.array((3.0 * s * s, 2.0 * s, np.ones_like(s))) * inside
+        basis[2, :2] = np.array((6.0 * s, np.full_like(s, 2.0))) * inside
+        rows = np.ascontiguousarray(np.moveaxis(basis[:orders], -1, 0))
+        return np.moveaxis(rows @ self._coefficients[k, :, columns], 0, 1), k
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
         joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]

@@ -292,8 +292,7 @@ class MemorySource(SessionSource):
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Add one message; times in ns since the epoch."""
-        self._messages.setdefault(topic, []).append((log_time, publish_time, data))
-        self.topics[topic] = self.topics.get(topic, 0) + 1
+        self.write_batch(topic, [data], [log_time], [publish_time])
 
     def write_batch(
         self,
@@ -304,8 +303,9 @@ class MemorySource(SessionSource):
     ) -> None:
         """Add T messages of one topic; see `SessionWriter.write_batch`."""
         times = np.asarray(log_times).tolist(), np.asarray(publish_times).tolist()
-        for data, log_time, publish_time in zip(payloads, *times, strict=True):
-            self.write(topic, bytes(data), log_time, publish_time)
+        if messages := list(zip(*times, map(bytes, payloads), strict=True)):
+            self._messages.setdefault(topic, []).extend(messages)
+            self.topics[topic] = len(self._messages[topic])
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
         """Add metadata: JSON values, and numpy arrays, which become lists."""

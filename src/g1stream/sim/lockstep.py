@@ -65,11 +65,10 @@ class Lockstep:
         self._now = max(self._now, deadline)
 
     def _tick(self) -> None:
-        published = self._robot.publish()
-        self._low_state, self._published = published.low_state, self.stamp()
-        topics = (LOWSTATE, SPORTMODESTATE, SECONDARY_IMU)
-        for topic, data in zip(topics, published, strict=True):
-            self._on_sample(topic, data, self.stamp())
+        published, stamp = self._robot.publish(), self.stamp()
+        self._low_state, self._published = published.low_state, stamp
+        for topic, data in zip((LOWSTATE, SPORTMODESTATE, SECONDARY_IMU), published, strict=True):
+            self._on_sample(topic, data, stamp)
         if self._command:
             self._robot.receive_command(self._command, self._now)
             self._robot.receive_reference(self._reference)

@@ -34,7 +34,13 @@ def torso_link(robot: G1) -> str:
 
 
 def build_model(
-    robot: G1, *, floating: bool, driven: bool, timestep: float, self_collision: bool
+    robot: G1,
+    *,
+    floating: bool,
+    driven: bool,
+    timestep: float,
+    self_collision: bool,
+    visual: bool,
 ) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
@@ -56,6 +62,7 @@ def build_model(
         driven: weld the base to a mocap body `base_target`, by an equality of that name.
         timestep: simulation timestep, s.
         self_collision: let links collide with each other.
+        visual: keep the shapes that only a viewer needs; the physics is faster without them.
 
     Raises:
         SimError: MuJoCo does not accept the URDF.
@@ -65,6 +72,7 @@ def build_model(
     try:
         spec = mujoco_spec(robot, floating=floating, shapes=True)
         spec.option.timestep = timestep
+        spec.compiler.discardvisual = not visual
         # Damping is integrated implicitly, including that of the servos, so any kd is stable.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         _set_contacts(spec)

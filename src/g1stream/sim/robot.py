@@ -181,15 +181,25 @@ class SimulatedRobot:
             _LOGGER.log(level, text)
 
     def _check_command(self, data: bytes, now: int) -> None:
-        self._low_cmd.load(data)
-        refusal = self._refusal()
-        if refusal:
+        command = self._low_cmd
+        command.load(data)
+        values = np.array((command.q, command.dq, command.tau, command.kp, command.kd))
+        if refusal := self._refusal(values):
             self.report.refused[refusal] = self.report.refused.get(refusal, 0) + 1
             self.log(logging.WARNING, f"LowCmd refused: {refusal}", now)
-        else:
-            self._accept(now)
+            return
+        present = self._world.present
+        enabled = (command.motor_mode == 1) & present
+        n = np.count_nonzero(present)
+        if off := n - np.count_nonzero(enabled):
+            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
+        if self._accepted_at is None:
+            self.log(logging.INFO, "LowCmd accepted", now)
+        self._accepted_at = now
+        self.report.commands += 1
+        self._motors = MotorCommand(enabled, *values)
 
-    def _refusal(self) -> str:
+    def _refusal(self, values: NDArray[np.float32]) -> str:
         command = self._low_cmd
         if not command.crc_matches():
             return "its CRC is wrong"
@@ -197,26 +207,9 @@ class SimulatedRobot:
             return f"mode_pr is {int(command.mode_pr)}, only 0 (pitch and roll) is simulated"
         if int(command.mode_machine) != self._mode_machine:
             return f"mode_machine is {int(command.mode_machine)} instead of {self._mode_machine}"
-        if not np.isfinite(self._commanded()).all():
+        if not np.isfinite(values).all():
             return "a value is not finite"
         return ""
-
-    def _commanded(self) -> NDArray[np.float32]:
-        """q, dq, tau, kp and kd (5, 29) of the newest LowCmd."""
-        command = self._low_cmd
-        return np.array((command.q, command.dq, command.tau, command.kp, command.kd))
-
-    def _accept(self, now: int) -> None:
-        present = self._world.present
-        enabled = (self._low_cmd.motor_mode == 1) & present
-        if off := np.count_nonzero(present & ~enabled):
-            n = np.count_nonzero(present)
-            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
-        if self._accepted_at is None:
-            self.log(logging.INFO, "LowCmd accepted", now)
-        self._accepted_at = now
-        self.report.commands += 1
-        self._motors = MotorCommand(enabled, *self._commanded())
 
 
 def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:

@@ -73,7 +73,7 @@ class Imu(NamedTuple):
     accelerometer: NDArray[np.float64]
 
     def copy(self) -> Imu:
-        return Imu(*(part.copy() for part in self))
+        return Imu(self.quat_wxyz.copy(), self.gyroscope.copy(), self.accelerometer.copy())
 
 
 class WorldState(NamedTuple):
@@ -109,6 +109,7 @@ class World:
         push: maximum speed that a push adds to the base along x and along y, m/s; 0: no pushes.
             Both are uniformly distributed between this and its negative.
         seed: seed of the pushes.
+        visual: with the shapes that only a viewer needs.
 
     Attributes:
         model: the `mujoco.MjModel`.
@@ -133,6 +134,7 @@ class World:
         timestep: float = 1e-3,
         push: float = 0.0,
         seed: int = 0,
+        visual: bool = False,
     ) -> None:
         import mujoco
 
@@ -144,6 +146,7 @@ class World:
             driven=kind.driven,
             timestep=timestep,
             self_collision=self_collision,
+            visual=visual,
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)

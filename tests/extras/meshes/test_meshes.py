@@ -79,7 +79,7 @@ def test_a_decimated_mesh_has_few_triangles_and_the_same_shape(sphere):
     mesh = read_stl(sphere)
     few = decimate(mesh)
     assert len(mesh.triangles) == 5120
-    assert len(few.triangles) == pytest.approx(2000, rel=0.1)
+    assert len(few.triangles) == pytest.approx(700, rel=0.1)
     assert np.linalg.norm(few.points, axis=1) == pytest.approx(0.1, rel=0.01)
     made = trimesh.Trimesh(few.points, few.triangles, process=False)
     assert made.is_watertight
@@ -87,7 +87,7 @@ def test_a_decimated_mesh_has_few_triangles_and_the_same_shape(sphere):
 
 
 def test_a_small_mesh_stays_as_it_is(tmp_path):
-    trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "small.stl")
+    trimesh.creation.icosphere(subdivisions=2).export(tmp_path / "small.stl")
     mesh = read_stl(tmp_path / "small.stl")
     assert decimate(mesh) is mesh
 

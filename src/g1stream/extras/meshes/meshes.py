@@ -41,7 +41,7 @@ _REAL_G1: Final = (
 _TRIANGLE: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 _STL_HEADER: Final = 84
 #: Target number of triangles of a mesh. More remain if fewer would deform its surface too much.
-_TRIANGLES: Final = 2000
+_TRIANGLES: Final = 700
 #: Aggressiveness of the decimation, 0 to 10. At 2 the size of every mesh of the G1 changes by at
 #: most 0.6 mm, at 3 by 4 mm, at the library's default of 7 by 11 mm.
 _AGGRESSION: Final = 2.0
@@ -184,7 +184,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def decimate(mesh: Mesh) -> Mesh:
-    """Reduce a mesh to about 2000 triangles by quadric edge collapse; a smaller one is unchanged.
+    """Reduce a mesh to about 700 triangles by quadric edge collapse; a smaller one is unchanged.
 
     Raises:
         ConfigError: the extra `meshes` is not installed.

@@ -1,4 +1,5 @@
 import logging
+from itertools import pairwise
 
 import pytest
 
@@ -37,9 +38,7 @@ def test_an_overrun_that_a_servo_notices_is_a_warning(make_loop, clock, caplog, 
     assert levels == [logging.INFO, level]
 
 
-def test_they_are_logged_at_once_then_once_a_second_and_none_is_left_out(
-    make_loop, link, clock, overruns
-):
+def test_they_are_logged_at_once_then_later_and_none_is_left_out(make_loop, link, clock, overruns):
     for n in (80, 100, 120, 200):
         clock.oversleeps[tick(clock, n)] = 3 * PERIOD
     seen = []
@@ -47,8 +46,21 @@ def test_they_are_logged_at_once_then_once_a_second_and_none_is_left_out(
     report = make_loop().run()
     assert report.skipped == 12
     assert (seen[80], seen[81]) == ([], [(3, 3)])
-    # The run is over within the second: the rest is logged with the last tick.
+    # The run is over within the interval: the rest is logged with the last tick.
     assert overruns() == [(3, 3), (9, 12)]
+
+
+@pytest.mark.parametrize(("gap", "seconds"), [(19, 10), (20, 1)])
+def test_short_ones_are_logged_every_ten_seconds_and_long_ones_every_second(caplog, gap, seconds):
+    caplog.set_level(logging.INFO, logger="g1stream")
+    overruns, logged = Overruns(PERIOD, *thresholds()), []
+    for tenth in range(1, 311):
+        overruns.stalled(gap * MS)
+        overruns.count(100 * MS * tenth, tenth, Phase.PLAY)
+        logged += [tenth / 10.0] * len(caplog.records)
+        caplog.clear()
+    assert logged[0] == 0.1
+    assert [round(b - a, 1) for a, b in pairwise(logged)] == [seconds] * round(30 / seconds)
 
 
 def test_a_stall_has_a_limit():

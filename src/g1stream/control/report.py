@@ -28,8 +28,10 @@ __all__ = ["Lateness", "LoopReport", "Overruns"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: Time over which missed ticks are counted, and interval of their log messages, ns.
+#: Time over which missed ticks are counted, and interval of warnings about them, ns.
 _SECOND: Final = 1_000_000_000
+#: Interval of log messages about short overruns, which are usual on a busy machine, ns.
+_LOG_INTERVAL: Final = 10_000_000_000
 #: Length of an overrun above which it is a warning, ns; a servo may hold its target this long.
 _LONG_OVERRUN: Final = 20_000_000
 
@@ -174,22 +176,27 @@ class Overruns:
         self._timeout, self._timeout_words = state_timeout(config)
         self._recent: deque[tuple[int, int]] = deque()
         self._skipped = 0
-        self._longest = self._logged = self._next_log = 0
+        self._longest = self._logged = 0
+        self._logged_at = -_LOG_INTERVAL
 
     def count(self, now: int, skipped: int, phase: Phase) -> None:
         """Update the number of ticks skipped until `now`, ns, and log the new ones.
 
-        They are logged immediately, then at most once a second; in DONE, all of them are logged.
+        They are logged immediately, then every 10 s, or every second if one is long; in DONE, all
+        of them are logged.
         """
         if new := skipped - self._skipped:
             self._skipped = skipped
             self._recent.append((now, new))
         while self._recent and now - self._recent[0][0] >= _SECOND:
             self._recent.popleft()
-        if skipped == self._logged or (now < self._next_log and phase is not Phase.DONE):
+        level, interval = logging.INFO, _LOG_INTERVAL
+        if self._longest >= _LONG_OVERRUN:
+            level, interval = logging.WARNING, _SECOND
+        early = now < self._logged_at + interval and phase is not Phase.DONE
+        if skipped == self._logged or early:
             return
-        new, self._logged, self._next_log = skipped - self._logged, skipped, now + _SECOND
-        level = logging.WARNING if self._longest >= _LONG_OVERRUN else logging.INFO
+        new, self._logged, self._logged_at = skipped - self._logged, skipped, now
         self._longest = 0
         _LOGGER.log(
             level, "overrun: %d ticks skipped since the last message, %d in total", new, skipped

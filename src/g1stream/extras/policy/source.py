@@ -154,6 +154,7 @@ class PolicyTargets(Source):
         shares = np.array([settings.start, settings.start + length]) / whole
         self._phases = np.array([changed.duration - length - after, end]), shares
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
+        text += ", and stands between its parts" if rests else ""
         if self._odometry:
             text += (
                 f"; place and velocity of the pelvis come from {ODOMMODESTATE.name} where it is "

@@ -227,7 +227,7 @@ class StreamConfig(Table):
     wait_for: str | None = setting(
         None,
         "what the next of several motions waits for, while the robot rests, and with a policy "
-        "stands: enter (the key), or a button of the remote, such as A or R1+A",
+        "stands: enter (the key), or a button of the remote, such as A or R2+A",
         flag=PLAY_FLAG,
         metavar="EVENT",
         example="enter",

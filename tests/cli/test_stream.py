@@ -1,6 +1,5 @@
 import os
 import signal
-import sys
 
 import pytest
 
@@ -16,23 +15,16 @@ def test_before_there_is_a_loop_a_second_signal_ends_the_process():
 
 
 def test_each_line_of_standard_input_lets_the_motion_go_on(monkeypatch):
-    begin, end = os.pipe()
-    rest = [b"no line", b"\n"]
     called = []
 
     class Loop:
         def go_on(self):
             called.append("on")
-            if rest:
-                os.write(end, rest.pop(0) + rest.pop(0))
-            else:
-                os.close(end)
 
-        def request_stop(self, reason):
-            called.append("stop")
+        def end_at_rest(self, reason):
+            called.append("end")
 
-    os.write(end, b"\n")
-    with os.fdopen(begin) as given:
-        monkeypatch.setattr(sys, "stdin", given)
-        _go_on_by_key(Loop())
-    assert called == ["on", "on", "stop"]
+    texts = iter([b"\n", b"no line", b"\n", b""])
+    monkeypatch.setattr(os, "read", lambda *_: next(texts))
+    _go_on_by_key(Loop())
+    assert called == ["on", "on", "end"]

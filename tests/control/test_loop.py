@@ -313,8 +313,28 @@ def test_a_rest_is_one_also_if_the_robot_s_time_moves_meanwhile(timing, trajecto
     assert not schedule.rest(500 * MS)
 
 
-def test_a_resting_motion_can_be_ended(make_loop, link):
-    loop = make_loop(rests=[200 * MS])
-    link.at_send(RAMP + 200, lambda: loop.request_stop("enough"))
+class Down:
+    """A way down of 0.3 s that keeps the pose."""
+
+    length = 0.3
+
+    def possible(self, target):
+        return True
+
+    def plan(self, standing):
+        return lambda elapsed, near: standing
+
+
+@pytest.mark.parametrize("way_down", [None, Down()])
+@pytest.mark.parametrize("unheard", [False, True])
+def test_a_resting_motion_can_be_ended(make_loop, link, trajectory, timing, way_down, unheard):
+    """On its feet the robot goes down first. A rest that nothing ends any more ends the run."""
+    targets = Targets(trajectory, start=0.0, moved=np.ones(29, bool), way_down=way_down)
+    timing = replace(timing, way_down=round(1e9 * Down.length) if way_down else 0)
+    loop = make_loop(targets=targets, timing=timing, rests=[200 * MS])
+    end = loop.end_at_rest if unheard else loop.request_stop
+    link.at_send(RAMP + (10 if unheard else 200), lambda: end("enough"))
     assert loop.run().stop.text == "enough"
     link.assert_damped()
+    assert ("HOLD" in link.phases()) == (way_down is not None)
+    assert link.phases()["PLAY"] == pytest.approx(101 if unheard else 201, abs=2)

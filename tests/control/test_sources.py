@@ -5,13 +5,15 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from g1stream.config import Config
+from g1stream.config import Config, load_config
 from g1stream.control.gains import Gains
 from g1stream.control.loop import make_loop
 from g1stream.control.plan import plan
 from g1stream.control.sources import SOURCES, Changed, HeldTorques, Source, Status, Traits
 from g1stream.errors import ConfigError, MotionError
 from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 STREAM = {"support": "feet", "feedforward": "dynamics", "ramp": 0.2, "hold": 0.1, "damp": 0.5}
@@ -100,6 +102,35 @@ def test_what_is_told_of_a_command_that_is_not_sent_comes_with_the_next_one(
     assert len({*ticks}) == len(ticks) - 32 - 2
 
 
+def test_a_held_robot_rests_at_the_end_of_each_motion_but_the_last():
+    angles = 0.3 * np.sin(np.arange(60)[:, None] / 10.0 + np.arange(29))
+    a, b, c = (Motion.from_arrays(k * angles, fps=30.0, name=f"{k}") for k in (1, 2, 3))
+    config = load_config(over={"stream.wait_for": "A", "stream.start": 0.5})
+    source = Source(config, G1.default(), simulated=True)
+    motion, _, rests = source.prepare(a.then(b).then(c))
+    assert motion.name == "1+rest+2+rest+3"
+    assert [part.name for part in motion.parts] == motion.name.split("+")
+    first = a.trim(0.5)
+    assert rests[0] == pytest.approx(first.duration + 1.0 + 0.5 - 0.1, abs=0.04)
+    at = Trajectory(motion).sample
+    for rest, last in zip(rests, (a, b), strict=True):
+        for time in (rest - 0.3, rest, rest + 0.05):
+            assert at(time).joint_pos == pytest.approx(last.joint_pos[-1], abs=1e-6)
+            assert at(time).joint_vel == pytest.approx(np.zeros(29), abs=1e-5)
+    assert motion.joint_pos[: first.n_frames] == pytest.approx(first.joint_pos)
+    assert motion.joint_pos[-60:] == pytest.approx(c.joint_pos)
+
+
+@pytest.mark.parametrize(
+    "over", [{}, {"stream.duration": 1.0}, {"stream.loop": True}, {"stream.wait_for": "select"}]
+)
+def test_what_cannot_wait_is_refused(over):
+    motion = Motion.from_arrays(np.zeros((60, 29)), fps=30.0)
+    joined = motion if not over else motion.then(motion)
+    with pytest.raises(ConfigError, match=r"waits for|wait_for"):
+        plan(joined, load_config(over={"stream.wait_for": "A"} | over), simulated=True)
+
+
 @pytest.mark.usefixtures("policy")
 @pytest.mark.parametrize("own", [False, True])
 def test_a_joint_need_not_follow_a_motion_that_its_source_only_observes(
@@ -112,6 +143,15 @@ def test_a_joint_need_not_follow_a_motion_that_its_source_only_observes(
     planned = plan(Motion.from_arrays(angles, fps=50.0), CONFIG, simulated=True)
     stop = make_loop(planned, link, clock, settle=0).run().stop
     assert (stop and stop.kind) == (None if own else "jam")
+
+
+@pytest.mark.usefixtures("policy")
+def test_on_the_way_to_the_first_frame_each_joint_must_follow(link, clock, monkeypatch):
+    monkeypatch.setattr(Policy, "traits", Traits(GAINS, makes_targets=True))
+    angles = np.zeros((300, 29))
+    angles[:, 18] = 1.5
+    planned = plan(Motion.from_arrays(angles, fps=50.0), CONFIG, simulated=True)
+    assert make_loop(planned, link, clock, settle=0).run().stop.kind == "jam"
 
 
 @pytest.mark.usefixtures("policy")

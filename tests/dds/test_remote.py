@@ -60,8 +60,19 @@ def test_a_resting_motion_goes_on_once_each_time_the_button_is_pressed():
 
 
 def test_an_unknown_button_is_refused():
-    with pytest.raises(ConfigError, match=r"stream\.wait_for = 'Enter'.*'Enter'"):
-        Operator((), None, "Enter")
+    for wrong in ("Enter", ""):
+        with pytest.raises(ConfigError, match=r"stream\.wait_for"):
+            Operator((), None, wrong)
+
+
+def test_a_button_that_stops_the_robot_lets_nothing_go_on():
+    for wait_for in ("R1", "R1+A", "select", "L2+B+A"):
+        with pytest.raises(ConfigError, match="wait_for"):
+            Operator(("L2+B", "select"), "R1", wait_for)
+    assert Operator(("L2+B", "select"), "R1", "B").goes_on(bits("B"))
+
+
+def test_a_misspelt_deadman_is_refused():
     with pytest.raises(ConfigError, match=r"safety\.deadman = 'R1\+Z'.*'Z'"):
         Operator((), "R1+Z")
     with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):

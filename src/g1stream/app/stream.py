@@ -82,6 +82,11 @@ def stream(
     """
     config = for_wire(config or Config())
     require_arming(config.dds.interface, armed=arm is not None)
+    if config.stream.wait_for == "enter" and on_loop is None:
+        raise ConfigError(
+            "Nothing lets the motion go on: stream.wait_for is enter, and there is no `on_loop`.",
+            "Give `on_loop`, and call `loop.go_on()` where the motion shall go on.",
+        )
     path = None if record is None else Path(record)
     if path:
         check_output_path(path, force=force)
@@ -102,11 +107,6 @@ def stream(
             motion = load_motion(motion)  # once for both
         simulated = is_local_only(config.dds.interface)
         planned = plan(motion, config, simulated=simulated)
-        if config.stream.wait_for and not planned.rests:
-            raise ConfigError(
-                f"There is one motion, so nothing waits for {config.stream.wait_for}.",
-                "Give several motions, or remove --wait-for.",
-            )
         if config.stream.policy and config.stream.rehearse:
             extension("rehearse_policy")(motion, config)
         confirm_arming(participant, planned, arm)

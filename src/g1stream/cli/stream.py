@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from g1stream.cli.flags import flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.control.stop import Stop
+from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
@@ -99,6 +100,9 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
         stack.enter_context(handled_by(ConsoleHandler()))
 
         def prepare(loop: StreamLoop, motion: Motion) -> None:
+            if loop.wait_for == "enter":
+                _require_keys()
+                Thread(target=_go_on_by_key, args=(loop,), daemon=True).start()
             loops.append(loop)
             if early:
                 loop.request_stop(Stop.by_signal(early[0]))
@@ -107,13 +111,27 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion], None]]:
         yield prepare
 
 
+def _require_keys() -> None:
+    """Refuse to wait for a key that cannot be read."""
+    try:
+        ours = not os.isatty(0) or os.tcgetpgrp(0) == os.getpgrp()
+    except OSError:
+        ours = False
+    if sys.stdin is None or not ours:
+        raise ConfigError(
+            "Nobody can press Enter: standard input is closed, or this is a background process.",
+            "Run it in the foreground, or give a button of the remote to --wait-for.",
+        )
+
+
 def _go_on_by_key(loop: StreamLoop) -> None:
-    """Let a resting motion go on at each line of standard input; end the loop after the last."""
-    # Unbuffered, because a thread that waits with the lock of a buffer would not let Python exit.
-    while text := os.read(sys.stdin.fileno(), 1024):
-        if b"\n" in text:
-            loop.go_on()
-    loop.request_stop("standard input has ended, so nobody can press Enter")
+    """Let a resting motion go on at each line of standard input, until that ends."""
+    with suppress(OSError):  # the terminal is gone
+        # Unbuffered, because a thread with the lock of a buffer would not let Python exit.
+        while text := os.read(0, 1024):
+            if b"\n" in text:
+                loop.go_on()
+    loop.end_at_rest("standard input has ended, so nobody can press Enter")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,12 +223,6 @@ class Stream(LiveCommand, MotionFlags):
                 f"falls. `--policy {nets[0]}` plays it with the network."
             )
         announce_wire(config)
-
-        def on_loop(loop: StreamLoop) -> None:
-            prepare(loop, motion)
-            if config.stream.wait_for == "enter":
-                Thread(target=_go_on_by_key, args=(loop,), daemon=True).start()
-
         with self.serving(config), playing() as prepare:
             summary = stream(
                 motion,
@@ -218,7 +230,7 @@ class Stream(LiveCommand, MotionFlags):
                 record=self.record,
                 force=self.force,
                 arm=partial(may_arm, yes=self.yes) if self.arm else None,
-                on_loop=on_loop,
+                on_loop=lambda loop: prepare(loop, motion),
             )
         print_summary(summary, as_json=self.json)
         return exit_code(summary)

@@ -63,12 +63,13 @@ class StreamLoop:
         overruns: counts the ticks that the loop misses.
         period: time between commands, ns.
         allow_second_writer: play even if there is another publisher of LowCmd.
-        wait_for: event after which a resting motion goes on, for log messages.
+        wait_for: event after which a resting motion goes on.
         where: DDS domain and network of the robot, for log messages.
 
     Attributes:
         damped: whether the last command was sent in DAMP; also true before the first one.
         stop_requests: number of calls of `request_stop`, including those after the end.
+        wait_for: as given.
         report: counts and timing so far, and finally of the whole run.
     """
 
@@ -100,7 +101,8 @@ class StreamLoop:
             link, allow_second_writer=allow_second_writer, topic=receiver.topic
         )
         self._where, self._next_wait_log = where, _FIRST_WAIT_LOG
-        self._wait_for = wait_for
+        self.wait_for = wait_for
+        self._unheard: Stop | None = None  # why nothing lets a resting motion go on
         self._gone_on = self._to_go_on = 0
         self._low_state = LowState()
         self._measured: Reading | None = None
@@ -154,6 +156,10 @@ class StreamLoop:
     def go_on(self) -> None:
         """End the present rest of the motion; can be called from another thread."""
         self._to_go_on += 1
+
+    def end_at_rest(self, reason: str) -> None:
+        """End at the next rest that nothing ends any more, for this reason."""
+        self._unheard = Stop("requested", reason)
 
     def end_for_error(self, stop: Stop) -> None:
         """Request a stop, unless one is requested; a second one would skip the way down."""
@@ -319,11 +325,13 @@ class StreamLoop:
             return
         if not rested:
             self._gone_on = self._to_go_on  # what came earlier does not count
-            what = "Enter" if self._wait_for == "enter" else f"{self._wait_for} on the remote"
+            what = "Enter" if self.wait_for == "enter" else f"{self.wait_for} on the remote"
             _LOGGER.info("PLAY waits at %.2f s: press %s", self.motion_time, what)
         elif self._to_go_on > self._gone_on:
             self._schedule.go_on()
             _LOGGER.info("PLAY goes on")
+        elif self._unheard:
+            self.end_for_error(self._unheard)
 
     def _replaced(self) -> Stop | None:
         """Why the run must end because the guard process has taken over, or None."""
@@ -374,6 +382,8 @@ class StreamLoop:
             self._checks.begin("free" if self._receiver.carries else self._feedforward.mode.support)
         elif phase is Phase.PLAY:
             self._robot_clock.begin(self._clock.now())
+            if self._robot_clock.followed:  # a policy makes the targets
+                self._checks.need_not_follow()
         elif phase is Phase.DAMP:
             self._commands.composer.damp()
         change = f"{before.phase.name} -> {phase.name}"
@@ -452,8 +462,6 @@ def make_loop(
     if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)
         timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
-    # A policy observes the motion, but need not follow it.
-    follow = plan.held & (not traits.makes_targets)
     start = plan.interval.start
     ticks = range(0, block * period, period)
     targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down, block=ticks)
@@ -480,7 +488,9 @@ def make_loop(
             soft_start=0 if receiver.carries else round(config.constants.soft_start * 1e9),
             clock=clock.now,
         ),
-        LowStateChecks(robot, follow, config.safety, config.constants, period, settings.wait_for),
+        LowStateChecks(
+            robot, plan.held, config.safety, config.constants, period, settings.wait_for
+        ),
         Overruns(period, config.safety, config.constants),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,

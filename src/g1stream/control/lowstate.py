@@ -17,7 +17,7 @@ from g1stream.control.monitor import RobotMonitor
 from g1stream.control.reading import Reading, all_finite, is_unit, ticks_between
 from g1stream.control.stop import Stop
 from g1stream.dds.remote import Operator
-from g1stream.robot.joints import JointSet
+from g1stream.robot.joints import N_JOINTS, JointSet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -128,6 +128,10 @@ class LowStateChecks:
             self._content_since = self.measured.arrived
             self._content_target = self.measured.q.astype(np.float64)
         self._set_tolerance(self._constants.limit_excess)
+
+    def need_not_follow(self) -> None:
+        """From now on the joints need not follow the motion, because a policy moves them."""
+        self._monitor.follow = np.zeros(N_JOINTS, np.bool_)
 
     def take(
         self, state: LowState, publisher: int, now: int, target: Floats | None = None

@@ -102,6 +102,7 @@ class RobotMonitor:
 
     Attributes:
         max_tilt: pelvis tilt that ends the session, rad.
+        follow: (29,) joints that must follow their targets; at first `held`.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class RobotMonitor:
         self._max_step = max(_MAX_STEP, period)
         self._patience = round(constants.frozen_timeout * 1e9)
         self._names, self._present = robot.joint_names, robot.present
-        self._held = held
+        self.follow = held
         self._lower, self._upper = robot.lower, robot.upper
         self._torque = (robot.torque_limit * config.max_torque).astype(np.float32)
         self._faults = _Lasting(constants.motor_fault_time)
@@ -157,7 +158,7 @@ class RobotMonitor:
         found = self._too_hot(state) or self._without_voltage(state, now)
         if found or target is None:
             return found
-        target = np.where(self._held, np.clip(target, self._lower, self._upper), measured.q)
+        target = np.where(self.follow, np.clip(target, self._lower, self._upper), measured.q)
         time, passed = self._time, (self._time - self._last) / 1e9
         self._last = time
         return (

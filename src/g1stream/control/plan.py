@@ -13,6 +13,7 @@ from g1stream.control.combinations import require_combination
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.receiver import load_receiver
 from g1stream.control.sources import load_source
+from g1stream.dds.remote import Operator
 from g1stream.errors import ConfigError
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
@@ -124,14 +125,16 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool) -> Pla
     source = load_source(config, robot, receiver.source, simulated=simulated)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    if settings.wait_for and settings.loop:
-        raise ConfigError(
-            "A looping motion has no next one that could wait for anything: stream.loop is true.",
-            "Remove stream.wait_for (--wait-for), or give the motions once.",
-        )
+    Operator(config.safety.stop_buttons, config.safety.deadman, settings.wait_for)  # are valid
     motion, how, rests = source.prepare(motion)
+    if settings.wait_for and (settings.loop or not rests):
+        raise ConfigError(
+            f"Nothing waits for {settings.wait_for}: the motion, or the part that is played, is "
+            "one motion, or stream.loop is true.",
+            "Give several motions, or remove --wait-for.",
+        )
     asked, limited = config, not source.traits.makes_targets
-    if not limited:
+    if settings.wait_for or not limited:  # it is cut already
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
         asked = config.model_copy(update={"stream": whole})
     fit = fit_to_robot(motion, robot, asked, played, simulated=simulated, limited=limited)

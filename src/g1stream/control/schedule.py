@@ -115,7 +115,7 @@ class Schedule:
         targets: as given.
         timing: length of each phase, as far as it is known.
         state: the current phase; it can be set.
-        delayed: total delay of the phases so far.
+        delayed: total delay of the phases so far, without rests.
         resting: whether the motion rests.
         ramp: the way to the first frame; None until RAMP begins.
     """
@@ -168,7 +168,7 @@ class Schedule:
 
     def rest(self, now: int) -> bool:
         """Stop the motion if it has reached the next rest, and return whether it rests."""
-        if self.state.phase is not Phase.PLAY or not self._rests:
+        if self.state.phase is not Phase.PLAY or not self._rests or self.state.stop:
             return False
         over = self.state.elapsed(now) - self._rests[0]
         if self.resting or over >= 0:  # also if the robot's time has moved the phase meanwhile

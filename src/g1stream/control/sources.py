@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
 
 from g1stream.control.support import ForceObserver, SupportCheck
+from g1stream.motion.limits import Interval
 from g1stream.optional import load_object
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
@@ -53,6 +54,8 @@ SOURCES: Final = {
 To add one, add a row."""
 
 
+REST_BEFORE: Final = 0.1
+"""Time from the moment at which a resting motion waits to the end of its rest, s."""
 #: Length of a rest between two motions, and time of the blends before and after it, s.
 _REST, _TO_REST = 0.5, 1.0
 
@@ -66,8 +69,8 @@ class Moment(NamedTuple):
         target: the desired state when the command takes effect.
         measured: the newest LowState.
         age: time since the reception of `measured`, s.
-        time: time of the motion's clock, s, which continues in HOLD and stops while the motion
-            waits.
+        time: time of the motion's clock, s, which continues in HOLD and in a rest, and stops while
+            the robot's time does.
         tick: number of the Reference that is published with the command.
         clock: returns the time, ns of the clock of `measured.arrived`, to measure durations.
         scale: ratio of simulated to real time.
@@ -171,7 +174,7 @@ class Source:
 
     def __init__(self, config: Config, robot: G1, *, simulated: bool) -> None:
         self._kind, self._support = config.stream.feedforward, config.stream.support
-        self._waits_for = config.stream.wait_for
+        self._settings = config.stream
 
     def prepare(self, motion: Motion) -> Changed:
         """Adapt the motion for this source, before its limits are checked.
@@ -182,14 +185,16 @@ class Source:
             ConfigError: the settings select a part that is not within the motion.
             MotionError: the motion cannot be played.
         """
-        first, *later = motion.split() if self._waits_for else [motion]
-        rests = []
+        if not self._settings.wait_for:
+            return Changed(motion)
+        first, *later = Interval.from_config(self._settings, motion).cut(motion).split()
+        joined, rests = first, []
         for other in later:
             still = first.at_frames(np.full(round(_REST * first.fps) + 2, first.n_frames - 1))
-            first = first.then(still, _TO_REST)
-            rests.append(first.duration - _REST / 2.0)
-            first = first.then(other, _TO_REST)
-        return Changed(first, "", tuple(rests))
+            joined = joined.then(replace(still, name="rest", operations=()), _TO_REST)
+            rests.append(joined.duration - REST_BEFORE)
+            joined, first = joined.then(other, _TO_REST), other
+        return Changed(joined, "", tuple(rests))
 
     def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
         """Subscribe to more than LowState, over DDS only.

@@ -75,10 +75,16 @@ class Operator:
     ) -> None:
         self._stops = [(button_mask(one, "safety.stop_buttons"), one) for one in stop_buttons]
         self._deadman = deadman
-        by_button = wait_for and wait_for != "enter"
-        self._go_on = button_mask(wait_for or "", "stream.wait_for") if by_button else 0
-        self._pressed = False
         self._held = 0 if deadman is None else button_mask(deadman, "safety.deadman")
+        self._go_on, self._pressed = 0, False
+        if wait_for is not None and wait_for != "enter":
+            self._go_on = button_mask(wait_for, "stream.wait_for (enter, or a button)")
+            stops = (mask for mask, _ in self._stops)
+            if self._go_on & self._held or any(self._go_on & one == one for one in stops):
+                raise ConfigError(
+                    f"stream.wait_for = {wait_for} stops the robot, or is its deadman button.",
+                    "Choose another button, or enter.",
+                )
 
     def missing(self, buttons: int) -> str:
         """Why the first command has to wait, or "".

@@ -76,6 +76,12 @@ class Interval:
             length = rest if length is None else min(length, rest)
         return cls(start, length, settings.loop)
 
+    def cut(self, motion: Motion) -> Motion:
+        """The part as a motion of its own."""
+        if self.length is None or (not self.start and self.length >= motion.duration):
+            return motion
+        return motion.trim(self.start, self.start + self.length)
+
     def frames(self, motion: Motion) -> range:
         """The frames around the interval; all frames of a motion that repeats."""
         if self.loop or self.length is None:

@@ -186,7 +186,12 @@ class Motion:
         quat = np.where(np.abs(norms - 1.0) <= 4.0 * np.finfo(float).eps, quat, quat / norms)
         set_field = object.__setattr__
         set_field(self, "fps", float(self.fps))
-        part_of = self.part_of if len(self.part_of) == n_frames else np.zeros(n_frames, np.int64)
+        part_of = np.array(self.part_of, np.int64) if len(self.part_of) else np.zeros(n_frames, int)
+        if part_of.shape != (n_frames,):
+            raise MotionError(
+                f"The motion {self.name} has {n_frames} frames and part_of of {part_of.shape}.",
+                "Give it a number for each frame, or none.",
+            )
         for name, values in (
             ("joint_pos", joint_pos),
             ("root_pos", root_pos),
@@ -248,14 +253,17 @@ class Motion:
         )
 
     def split(self) -> list[Motion]:
-        """The joined motions, without the blends between them, as they are in this motion."""
+        """The joined motions, without the blends between them, as they are in this motion.
+
+        A motion of blend frames only is one.
+        """
         found, ends = [], np.flatnonzero(np.diff(self.part_of)) + 1
         for frames in np.split(np.arange(self.n_frames), ends):
             if (number := int(self.part_of[frames[0]])) >= 0 and len(frames) > 1:
                 of = self.parts[number % len(self.parts)] if self.parts else self
                 origin = {name: getattr(of, name) for name in _ORIGIN}
                 found.append(replace(self.at_frames(frames), parts=(), **origin))
-        return found
+        return found or [self]
 
     def samples(
         self, rate: float, start: int, stop: int

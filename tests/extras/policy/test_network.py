@@ -4,7 +4,7 @@ from hashlib import sha256
 import numpy as np
 import onnx
 import pytest
-from onnx import helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
 from g1stream.app.rollout import rollout
@@ -98,9 +98,11 @@ def test_all_external_data_are_part_of_the_hash_whatever_their_names(tmp_path):
 def test_external_data_outside_the_folder_are_refused(tmp_path, name):
     model = network_of()
     set_external_data(model.graph.initializer[0], name)
-    path = tmp_path / "policy.onnx"
+    path = tmp_path / "inner" / "policy.onnx"
+    path.parent.mkdir()
+    (tmp_path / "w.bin").write_bytes(bytes(100_000))
     path.write_bytes(model.SerializeToString())
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigError, match="not in the folder"):
         Network(path)
 
 
@@ -168,4 +170,38 @@ def test_a_state_that_nothing_feeds_is_refused(tmp_path, line):
     path = adding(tmp_path)
     path.with_suffix(".toml").write_text(f"feedback = {line}\n{FACTS}")
     with pytest.raises(ConfigError, match=r"h_in|feedback|facts"):
+        read_contract(Network(path))
+
+
+def test_the_mean_behind_a_link_is_read(tmp_path):
+    """As in the cache of a hub, whose files are links."""
+    hidden, shown = tmp_path / "blobs", tmp_path / "snapshot"
+    hidden.mkdir()
+    shown.mkdir()
+    how = {"save_as_external_data": True, "location": "w.bin", "size_threshold": 0}
+    onnx.save(normalising(), hidden / "policy.onnx", **how)
+    for file in hidden.iterdir():
+        (shown / file.name).symlink_to(file)
+    mean, std = Network(shown / "policy.onnx").normaliser
+    np.testing.assert_array_equal(mean, MEAN)
+    np.testing.assert_array_equal(std, STD)
+
+
+@pytest.mark.parametrize(
+    ("takes", "gives"),
+    [
+        (("h_in", TensorProto.INT64, [1, 29]), ("h_out", TensorProto.INT64, [1, 29])),
+        (("h_in", 1, [1, 1, 29]), ("h_out", 1, [1, 29])),
+        (("h_in", 1, [10**5, 10**6]), ("h_out", 1, [10**5, 10**6])),
+        (("latent", 1, [1, 29]), ("latent_out", 1, [1, 29])),
+    ],
+)
+def test_what_is_no_state_is_refused(tmp_path, takes, gives):
+    model = network_of(width=29)
+    model.graph.input.append(helper.make_tensor_value_info(*takes))
+    model.graph.output.append(helper.make_tensor_value_info(*gives))
+    model.graph.node.append(helper.make_node("Identity", [takes[0]], [gives[0]]))
+    onnx.save(model, path := tmp_path / "policy.onnx")
+    path.with_suffix(".toml").write_text(FACTS)
+    with pytest.raises(ConfigError, match=takes[0]):
         read_contract(Network(path))

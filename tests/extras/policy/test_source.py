@@ -237,12 +237,30 @@ def test_between_motions_that_wait_it_stands(policy):
     source = PolicyTargets(settings(policy(), stand=2.0, wait_for="enter"), ROBOT)
     motion, _, rests = source.prepare(moving(2.0).then(moving(1.0).mirrored(), 0.5))
     assert motion.duration == pytest.approx(2.0 + (1 + 2.0 + 1) + (2.0 + 1 + 1.0 + 1), abs=0.1)
-    assert rests == pytest.approx((2.0 + 1 + 2.0 + 1 + 1.0,), abs=0.05)
+    assert rests == pytest.approx((2.0 + 1 + 2.0 + 1 + 2.0 - 0.1,), abs=0.05)
     at = Trajectory(motion).sample
-    for time in np.linspace(rests[0] - 0.9, rests[0] + 0.9, 7):
+    for time in np.linspace(rests[0] - 1.8, rests[0] + 0.05, 7):
         assert at(time).joint_pos == pytest.approx(np.full(29, 0.1), abs=1e-9)
         assert at(time).joint_vel == pytest.approx(np.zeros(29), abs=1e-6)
     assert motion.joint_pos[-102:-51] == pytest.approx(moving(1.0).mirrored().joint_pos)
+
+
+@pytest.mark.parametrize("wait_for", [None, "enter"])
+def test_each_motion_has_its_own_phase(policy, wait_for):
+    source = PolicyTargets(settings(policy(), stand=2.0, wait_for=wait_for), ROBOT)
+    motion = source.prepare(moving(2.0).then(moving(1.0).mirrored(), 0.5)).motion
+    phases, second = [], 3.0 + 2.0 + (4.0 if wait_for else 0.5)
+    for time in (0.5, 3.0, 4.0, 5.0, second - 0.1, second, second + 0.5, second + 1.0):
+        target = Setpoint.from_point(time, Trajectory(motion).sample(time))
+        phases.append(source._reference(target).phase)
+    assert phases == pytest.approx([0, 0, 0.5, 1, 1, 0, 0.5, 1], abs=0.03)
+
+
+def test_a_part_within_a_blend_is_one_motion(policy):
+    given = settings(policy(), stand=1.0, start=2.1, duration=0.3, wait_for="enter")
+    changed = PolicyTargets(given, ROBOT).prepare(moving(2.0).then(moving(2.0), 0.5))
+    assert changed.rests == ()
+    assert changed.motion.duration == pytest.approx(1.0 + 1.0 + 0.3 + 1.0, abs=0.05)
 
 
 @needs_policies

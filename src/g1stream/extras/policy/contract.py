@@ -200,6 +200,7 @@ class PolicyContract(Record, frozen=True):
             if orders
             else "",
             "action": f"the output {self.action}" if self.action else "",
+            "states": ", ".join(f"{k} is {v} of the step before" for k, v in self.feedback.items()),
         }
         lines = [labelled(f"{k:<{_LABEL}}", v) for k, v in facts.items() if v]
         rows = [["term", "size", "scale", "formula"]]
@@ -249,6 +250,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
                 values[name], origin[name] = value, facts.where
                 assumed += [name] * facts.assumed
     where = f"the policy {path}"
+    values.setdefault("feedback", network.fed_back)
     _check_playable(network, values, where)
     names = [str(name) for name in as_list(values.get("joint_names", list(JOINT_NAMES)))]
     values = {name: one for name, one in _OPTIONAL.items() if one != ""} | values
@@ -318,12 +320,20 @@ def _check_playable(network: Network, values: dict[str, Any], where: str) -> Non
                 "Export both as one network, or run them in their own program and record that: "
                 "`g1stream record`.",
             )
-    fed_back = values.setdefault("feedback", network.fed_back)
-    if {*fed_back} != {*network.inputs} or not {*fed_back.values()} <= {*network.outputs}:
-        takes = ", ".join(f"{name} {size}" for name, size in network.inputs.items()) or "nothing"
+    fed_back: dict[str, str] = values["feedback"]
+    if wrong := sorted({*fed_back} - {*network.inputs} | {*fed_back.values()} - {*network.outputs}):
+        raise ConfigError(
+            f"The feedback in {beside(network.path)} names {listed(wrong)}, but {where} takes "
+            f"{listed([*network.inputs]) or 'no state'} and gives {listed([*network.outputs])}.",
+            "Write the output that is each state in the next step, by the name of its input.",
+        )
+    inputs = network.inputs.items()
+    if left := {k: one for k, one in inputs if not network.is_state(k, fed_back.get(k))}:
+        takes = ", ".join(f"{name} {size} {kind}" for name, (size, kind) in left.items())
         raise ConfigError(
             f"{where[0].upper()}{where[1:]} takes {takes} beside an observation: a state that is "
-            "fed back, or the output of another network, such as an encoder.",
+            "fed back, as float32 of the same shape, or the output of another network, such as an "
+            "encoder.",
             f"Write to {beside(network.path)} which output each state is in the next step, such as "
             'feedback = { h_in = "h_out" }, or export all of it as one network.',
         )

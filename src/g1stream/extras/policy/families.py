@@ -51,25 +51,35 @@ def sources(network: Network) -> Iterator[Facts]:
     if beside(network.path).exists():
         own = _facts(own.where, partial(_of_toml, beside(network.path)))
     yield own
-    yield Facts("g1stream's table of published policies", facts_of(network.sha256))
+    published = Facts("g1stream's table of published policies", facts_of(network.sha256))
+    yield published
     families, sizes = TABLE["families"], [network.width, network.outputs[network.first]]
     fitting = [name for name, one in families.items() if one.get("sizes") == sizes]
+    lines = " or ".join(f'family = "{name}"' for name in fitting)
     chosen = own.values.get("family", fitting[0] if len(fitting) == 1 else "")
-    if "joint_names" not in own.values and fitting and chosen not in fitting:
-        which = " or ".join(families[name]["about"] for name in fitting)
-        lines = " or ".join(f'family = "{name}"' for name in fitting)
+    if chosen and chosen not in fitting:
         raise ConfigError(
-            f"{network.path} may be of {which}: both have {sizes[0]} values and {sizes[1]} "
-            "actions, but other gains and another default pose.",
-            f"Write to {own.where}: {lines}.",
+            f"{own.where} has the family {chosen!r}, which is none of networks with {sizes[0]} "
+            f"values and {sizes[1]} actions.",
+            f"Write {lines}." if lines else "Remove the line.",
         )
+    told = {"joint_names"} & {*own.values, *published.values}
     for name, family in families.items():
         about, file = family["about"], network.path.parent / family.get("file", "")
         if family.get("metadata") in network.metadata:
             read = partial(_of_metadata, family, network.metadata)
             yield _facts("metadata of the ONNX file", read)
+            told |= {name}
         elif file.is_file():
             yield _facts(str(file), partial(_of_yaml, family, file))
+            told |= {name}
+        elif name in fitting and not (told or chosen):
+            which = " or ".join(families[one]["about"] for one in fitting)
+            raise ConfigError(
+                f"{network.path} may be of {which}: they have {sizes[0]} values and {sizes[1]} "
+                "actions, but other gains and another default pose.",
+                f"Write to {own.where}: {lines}.",
+            )
         elif name != chosen:
             continue
         like = families.get(family.get("like"), {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,8 @@ __all__ = ["Network"]
 
 #: Longest run, s; a step of a policy takes milliseconds.
 _LONGEST: Final = 5.0
+#: Most values of a state.
+_LARGEST_STATE: Final = 1_000_000
 #: Operators that may be between the observation and its normalisation.
 _PASSED: Final = {"Cast", "Squeeze", "Clip", "Identity"}
 #: Start, s of CLOCK_MONOTONIC, and options of the runs that have not ended.
@@ -55,8 +58,8 @@ class Network:
         width: width of the observation.
         outputs: width of each output, 0 if it is not that of an action; by name.
         first: name of the first output.
-        inputs: shape of each input beside the observation and the time step, by name; a dimension
-            of no known size is 1.
+        inputs: shape and type of each input beside the observation and the time step, by name; a
+            dimension of no known size is 1.
         fed_back: the output X_out for each of these that is called X_in, as rsl_rl exports states.
         holds_motion: whether its outputs, by a time step, are a motion.
         sha256: hash of the file.
@@ -74,15 +77,18 @@ class Network:
         content = self._read(self.path.name)
         self.sha256 = sha256(content).hexdigest()
         try:
-            self._graph = self._onnx.load_model_from_string(content).graph
+            model = self._onnx.load_model_from_string(content)
         except Exception as error:  # the class of protobuf's errors is not public in onnx
             raise self._unloadable(error) from error
-        tensors = [one for one in self._tensors(self._graph) if one.external_data]
+        self._graph = model.graph
+        tensors = [one for one in self._tensors(model) if one.external_data]
         entries = [one for tensor in tensors for one in tensor.external_data]
         self.data = sorted({one.value for one in entries if one.key == "location"})
         if outside := [one for one in self.data if one.startswith("/") or ".." in Path(one).parts]:
             raise self._unloadable(ValueError(f"{outside[0]} is not in the folder of the file"))
         external = b"".join(map(self._read, self.data))
+        if len(content) + len(external) > LARGEST:
+            raise self._unloadable(ValueError(f"it has more than {LARGEST >> 20} MB"))
         self.data_sha256 = sha256(external).hexdigest() if self.data else None
         self._run_options = runtime.RunOptions
         _end_long_runs()
@@ -97,26 +103,31 @@ class Network:
             self.metadata: dict[str, str] = dict(told.custom_metadata_map)
         except Exception as error:  # of onnxruntime, or of text that is not UTF-8
             raise self._unloadable(error) from error
-        shapes = {one.name: list(one.shape) for one in inputs}
+        shapes, outputs = {one.name: list(one.shape) for one in inputs}, self._session.get_outputs()
         self._step = {"time_step": np.zeros((1, 1), np.float32)} if "time_step" in shapes else {}
         observations = [name for name in shapes if name != "time_step"]
-        self.outputs = {one.name: _width(one.shape) for one in self._session.get_outputs()}
+        self.outputs = {one.name: _width(one.shape) for one in outputs}
         self.first = next(iter(self.outputs))
         self.holds_motion = bool(self._step) and {"joint_pos", "joint_vel"} <= set(self.outputs)
         self._observation = observations[0] if observations else ""
         self.width = _width(shapes[self._observation]) if observations else 0
-        self.inputs = {
-            name: tuple(size if isinstance(size, int) else 1 for size in shapes[name])
-            for name in observations[1:]
-        }
-        pairs = ((name, name.removesuffix("_in") + "_out") for name in self.inputs)
+        self.inputs = {one.name: _kind(one) for one in inputs if one.name in observations[1:]}
+        self._kinds = {one.name: _kind(one) for one in outputs}
+        pairs = ((name, f"{name[:-3]}_out") for name in self.inputs if name.endswith("_in"))
         self.fed_back = {name: output for name, output in pairs if output in self.outputs}
-        self.begin({})
+        self._feedback: Mapping[str, str] = {}
+        self._states: dict[str, Any] = {}
         if not self.width:
             raise ConfigError(
                 f"{self.path} takes {_shown(shapes)}, which is not an observation of known width.",
                 "Export the actor alone, with one input (1, width) and perhaps time_step.",
             )
+
+    def is_state(self, name: str, output: str | None) -> bool:
+        """Whether an output can be an input in the next step: float32 of the same shape."""
+        shape, kind = self.inputs[name]
+        same = self._kinds.get(output or "") == (shape, kind)
+        return same and kind == "tensor(float)" and math.prod(shape) <= _LARGEST_STATE
 
     def begin(self, feedback: Mapping[str, str]) -> None:
         """Begin a run, with zeros as states.
@@ -125,7 +136,7 @@ class Network:
             feedback: the output that is each state in the next step, by the name of its input.
         """
         self._feedback = feedback
-        self._states = {name: np.zeros(size, np.float32) for name, size in self.inputs.items()}
+        self._states = {name: np.zeros(self.inputs[name][0], np.float32) for name in feedback}
 
     def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
         """All outputs for one observation (width,), by name and without the batch dimension.
@@ -183,7 +194,7 @@ class Network:
                 if not constants.keys() >= {*names}:
                     return None
                 mean, deviation = (
-                    self._onnx.numpy_helper.to_array(constants[name], str(self.path.parent))
+                    self._onnx.numpy_helper.to_array(self._inside(constants[name]))
                     .astype(np.float64)
                     .ravel()
                     for name in names
@@ -191,6 +202,16 @@ class Network:
                 sound = mean.size == deviation.size == self.width and (deviation > 0.0).all()
                 return (mean, deviation) if sound and np.isfinite(mean).all() else None
         return None
+
+    def _inside(self, tensor: Any) -> Any:
+        """The tensor with its external data in it; onnx refuses those behind a link."""
+        told = {one.key: one.value for one in tensor.external_data}
+        if told:
+            start, content = int(told.get("offset", 0)), self._read(told["location"])
+            end = start + int(told["length"]) if "length" in told else None
+            tensor = type(tensor)(dims=tensor.dims, data_type=tensor.data_type)
+            tensor.raw_data = content[start:end]
+        return tensor
 
     def _tensors(self, message: Any) -> Iterator[Any]:
         """All tensors in a message of ONNX, those in attributes and inner graphs included."""
@@ -223,6 +244,11 @@ class Network:
 def _width(shape: list[Any]) -> int:
     """The width of an input or output (1, width); 0 if it has another shape or no known one."""
     return shape[1] if len(shape) == 2 and isinstance(shape[1], int) else 0
+
+
+def _kind(value: Any) -> tuple[tuple[int, ...], str]:
+    """Shape and type of an input or output."""
+    return tuple(size if isinstance(size, int) else 1 for size in value.shape), value.type
 
 
 def _reason(error: Exception) -> str:

@@ -55,8 +55,8 @@ class Observer:
         The worlds of both have their floor at height 0.
         """
         own, its = self._anchor(state), self._anchor(reference)
-        turns = (quat_from_yaw(yaw_of(one.quat_wxyz)) for one in (own, its))
-        self._yaw0 = quat_mul(next(turns), quat_conj(next(turns)))
+        own_yaw, its_yaw = (quat_from_yaw(yaw_of(one.quat_wxyz)) for one in (own, its))
+        self._yaw0 = quat_mul(own_yaw, quat_conj(its_yaw))
         self._origin = its.pos * _ON_FLOOR, own.pos * _ON_FLOOR
         self._frames.clear()
         for history in self._histories:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import Gains
-from g1stream.control.sources import Changed, Mode, Source, Status, Traits
+from g1stream.control.sources import REST_BEFORE, Changed, Mode, Source, Status, Traits
 from g1stream.dds.messages import ODOMMODESTATE, PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
@@ -116,7 +116,8 @@ class PolicyTargets(Source):
         self._share = self._carried_for = 0.0
         self._weighed = -_LOAD_PERIOD  # time of the last check, s
         self._odometry = Odometry(robot) if estimated else None
-        self._phases = np.zeros(2), np.zeros(2)  # motion times, and shares of the motion then
+        self._played = np.zeros((1, 2))  # begin and end of each motion, s
+        self._shares = np.array([0.0, 1.0])  # of the motion that has passed at these times
         self._target: Floats | None = None
         self._next = 0.0
         self._arrived = -1  # reception of the state of the newest step, ns
@@ -144,15 +145,16 @@ class PolicyTargets(Source):
         settings = self._settings
         for one in motion.split():
             check_motion(self.contract, self._network, one)
-        part, whole = Interval.from_config(settings, motion), motion.duration
-        if settings.start or settings.duration is not None:
-            motion = motion.trim(part.start, part.start + (part.length or 0.0))
+        whole = motion.duration
+        motion = Interval.from_config(settings, motion).cut(motion)
         motions = motion.split() if settings.wait_for else [motion]
         changed, rests = _with_standing(motions, self._still, settings.stand)
-        length, after = motion.duration, (round(_BLEND * motion.fps) + 1) / motion.fps
-        end = changed.duration - after
-        shares = np.array([settings.start, settings.start + length]) / whole
-        self._phases = np.array([changed.duration - length - after, end]), shares
+        part_of, fps = changed.part_of, changed.fps
+        stands = [part_of[round(fps * time)] for time in (0.0, *rests, changed.duration)]
+        played = np.setdiff1d(part_of, [-1, *stands])
+        self._played = np.array([np.flatnonzero(part_of == one)[[0, -1]] for one in played]) / fps
+        if len(played) == 1:
+            self._shares = np.array([settings.start, settings.start + motion.duration]) / whole
         text = f"{motion.name} begins and ends with {settings.stand:g} s of standing"
         text += ", and stands between its parts" if rests else ""
         if self._odometry:
@@ -250,7 +252,8 @@ class PolicyTargets(Source):
             self._fall = (
                 f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
             )
-            (begin, end), time = self._phases[0], moment.target.motion_time
+            time = moment.target.motion_time
+            begin, end = self._motion_at(time)
             if time < begin + _FALLING or time > end + _BLEND:
                 self._fall += f", while it stands {'after' if time > end else 'before'} the motion"
                 if time > _SOON and self._settings.stand > _SOON:
@@ -270,7 +273,14 @@ class PolicyTargets(Source):
     def _reference(self, target: Setpoint) -> Body:
         turns = target.root_quat_wxyz, target.root_ang_vel
         found = body(target.q, target.dq, *turns, target.root_pos, target.root_lin_vel)
-        return found._replace(phase=float(np.interp(target.motion_time, *self._phases)))
+        time = target.motion_time
+        return found._replace(phase=float(np.interp(time, self._motion_at(time), self._shares)))
+
+    def _motion_at(self, time: float) -> Floats:
+        """(2,) begin and end of the motion that is played at a time, or was before it, s."""
+        number = int(np.searchsorted(self._played[:, 0], time, side="right")) - 1
+        found: Floats = self._played[max(0, number)]
+        return found
 
 
 class BackToStanding:
@@ -352,7 +362,7 @@ def _with_standing(
     The first pose has the place and heading of the first frame, and `Motion.then` moves the others.
 
     Returns:
-        The motion, and the times, s, in the middle of the poses between two motions.
+        The motion, and the times, s, at which it rests between two motions.
     """
     first = motions[0]
     frames = max(2, round(seconds * first.fps) + 1)
@@ -360,9 +370,8 @@ def _with_standing(
     place = first.root_pos[0] * [1.0, 1.0, 0.0] + still.root_pos[0]
     standing, moment = (
         replace(
-            still,
+            still.at_frames(np.zeros(n, np.intp)),
             fps=first.fps,
-            joint_pos=np.repeat(still.joint_pos[:1], n, axis=0),
             root_pos=np.repeat(place[None], n, axis=0),
             root_quat_wxyz=np.repeat(heading[None], n, axis=0),
         )
@@ -371,7 +380,7 @@ def _with_standing(
     joined, rests = standing.then(first, _BLEND), []
     for motion in motions[1:]:
         joined = joined.then(standing, _BLEND)
-        rests.append(joined.duration - standing.duration / 2.0)
+        rests.append(joined.duration - REST_BEFORE)
         joined = joined.then(motion, _BLEND)
     return joined.then(moment, _BLEND), tuple(rests)
 

@@ -222,7 +222,7 @@ def _reference(
     steps: PolicyStream, columns: Mapping[str, slice], contract: PolicyContract | None
 ) -> dict[str, Floats]:
     """Values (N, joints) that the terms of the joints have at the reference, if it is observed."""
-    for term in contract.terms if contract else ():
+    for term in reversed(contract.terms) if contract else ():  # the newest step comes last
         if contract and term.value in ("motion_command", "motion_joint_pos"):
             values = steps.observation[:, columns[term.name]] / np.mean(term.scale)
             n = len(contract.joint_names)

@@ -32,7 +32,8 @@ g1stream/PolicyObservation observation
 g1stream/PolicyAction action
 """
 #: Fields of the observation. A policy without one of the terms has no values there. All values are
-#: in the last field if a term has no field. The type does not change for a new term.
+#: in the last field if a term has no field. The type does not change for a new term, which stands
+#: after motion_phase.
 _OBSERVED: Final = (*list(TERMS)[: list(TERMS).index("motion_phase")], "values")
 
 

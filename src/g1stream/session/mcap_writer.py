@@ -145,13 +145,12 @@ class McapWriter:
     Attributes:
         path: path of the file for error messages.
         place: current path of the file.
-        first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
+        log_times: of the first and the last message, ns since the epoch; None before the first.
     """
 
     def __init__(self, path: Path, channels: Mapping[str, Channel]) -> None:
         self.path = self.place = path
-        self.first_log_time: int | None = None
-        self.last_log_time: int | None = None
+        self.log_times: tuple[int, int] | tuple[None, None] = (None, None)
         self._channels = channels
         self._channel_ids: dict[str, int] = {}
         self._schema_ids: dict[tuple[str, bytes], int] = {}
@@ -204,12 +203,9 @@ class McapWriter:
                     number += 1
             self._mcap.flush()
         self._n_chunks += 1
-        for batch in batches:
-            first, final = int(batch.log_times.min()), int(batch.log_times.max())
-            if self.first_log_time is None or self.last_log_time is None:
-                self.first_log_time, self.last_log_time = first, final
-            self.first_log_time = min(first, self.first_log_time)
-            self.last_log_time = max(final, self.last_log_time)
+        ends = [end for one in batches for end in (one.log_times.min(), one.log_times.max())]
+        ends += [end for end in self.log_times if end is not None]
+        self.log_times = int(min(ends)), int(max(ends))
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Attach a file; see `SessionWriter.attach`."""

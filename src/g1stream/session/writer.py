@@ -92,8 +92,8 @@ class SessionWriter:
         return not self._replaces
 
     @property
-    def log_times(self) -> tuple[int | None, int | None]:
-        return self._file.first_log_time, self._file.last_log_time
+    def log_times(self) -> tuple[int, int] | tuple[None, None]:
+        return self._file.log_times
 
     def __enter__(self) -> SessionWriter:
         return self

@@ -26,7 +26,7 @@ from g1stream.motion.readers import default_motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
-from g1stream.session.writer import attach_motion, attach_policy
+from g1stream.session.writer import attach_run
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.types import FeedForwardKind, StreamSupport, Support
@@ -236,8 +236,4 @@ def _write_header(source: MemorySource, planned: Plan) -> None:
             **info.model_dump(mode="json", exclude_unset=True),
         }
     )
-    source.attach("robot.urdf", "application/xml", planned.robot.urdf.encode(), EPOCH)
-    settings = planned.config.model_dump_json().encode()
-    source.attach("config.json", "application/json", settings, EPOCH)
-    attach_policy(source, info.policy, EPOCH)
-    attach_motion(source, info.motion, EPOCH)
+    attach_run(source, planned.robot, planned.config, info, EPOCH)

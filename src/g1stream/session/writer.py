@@ -23,13 +23,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from g1stream.config import Config
     from g1stream.dds.messages import Batch
+    from g1stream.robot.model import G1
     from g1stream.session.format import Channel
     from g1stream.session.mcap_reader import Messages
-    from g1stream.session.records import MotionInfo, PolicyInfo
+    from g1stream.session.records import MotionInfo, SessionInfo
     from g1stream.session.source import MemorySource
 
-__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_policy"]
+__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_run"]
 
 LARGEST_MOTION: Final = 16 * 2**20
 """A larger motion file is not attached, bytes. Its SHA-256 is always in the metadata."""
@@ -243,18 +245,18 @@ class SessionWriter:
         return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= _CHUNK_NS
 
 
-def attach_policy(
-    writer: SessionWriter | MemorySource, policy: PolicyInfo | None, time_ns: int
+def attach_run(
+    writer: SessionWriter | MemorySource, robot: G1, config: Config, info: SessionInfo, time_ns: int
 ) -> None:
-    """Attach the policy's contract as policy.json, if there is a policy.
+    """Attach the URDF, the settings, a policy's contract, and the files of the motion.
 
-    Args:
-        writer: writer of the session.
-        policy: the policy that plays; None without a policy.
-        time_ns: the attachment's time, ns since the epoch.
+    `time_ns` is the time of the attachments, ns since the epoch.
     """
-    if policy:
-        writer.attach("policy.json", "application/json", policy.model_dump_json().encode(), time_ns)
+    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), time_ns)
+    for name, values in (("config.json", config), ("policy.json", info.policy)):
+        if values:
+            writer.attach(name, "application/json", values.model_dump_json().encode(), time_ns)
+    attach_motion(writer, info.motion, time_ns)
 
 
 def attach_motion(

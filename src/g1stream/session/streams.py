@@ -334,13 +334,7 @@ class ReferenceStream(Stream):
 
     @property
     def phases(self) -> list[PhaseInterval]:
-        """The phases in order, s on the motion's clock.
-
-        Each lasts until the next one begins, the last until the last sample.
-
-        Raises:
-            RecordingError: a number stands for no phase.
-        """
+        """The phases in order; see `Recording.phases`."""
         numbers, times = self.read("phase").phase, self.time
         if not len(times):
             return []

@@ -28,7 +28,7 @@ from g1stream.session.records import (
     RecorderSummary,
     StreamSummary,
 )
-from g1stream.text import counted, labelled, short_name, table
+from g1stream.text import counted, labelled, listed, short_name, table
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -330,9 +330,7 @@ def outcome(summary: Summary) -> str:
 
 def most(ticks: Mapping[str, int]) -> str:
     """The first joints with their ticks, and the number of the others."""
-    named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
-    rest = len(ticks) - _MOST_JOINTS
-    return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
+    return listed([f"{joint} {n}" for joint, n in ticks.items()], _MOST_JOINTS, "joint")
 
 
 def session_facts(summary: Summary) -> list[tuple[str, str]]:

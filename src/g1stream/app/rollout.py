@@ -6,8 +6,9 @@ import logging
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, get_args
@@ -184,7 +185,11 @@ def _resolve(
             "stream.duration": None if seconds is None else float(seconds),
             "stream.joints": joints,
         }
-        | {f"gains.{name}": _by_joint(given) for name, given in gains.items()}
+        | {
+            f"gains.{name}": dict(given) if isinstance(given, Mapping) else {"*": given}
+            for name, given in gains.items()
+            if given is not None
+        }
     )
     if config.stream.via != "lowcmd":
         raise ConfigError(
@@ -199,30 +204,22 @@ def _resolve(
     return config
 
 
-def _by_joint(gain: float | Mapping[str, float] | None) -> dict[str, float] | None:
-    """A table of gains as a config has it."""
-    if gain is None:
-        return None
-    return dict(gain) if isinstance(gain, Mapping) else {"*": gain}
-
-
 @contextmanager
 def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
     """Publish what this thread logs, as the stream and the bridge publish their events."""
-    thread = threading.get_ident()
-    stream, sim = LogHandler("stream", publish), LogHandler("sim", publish)
-    stream.addFilter(
-        lambda record: record.thread == thread and not record.name.startswith("g1stream.sim")
-    )
-    sim.addFilter(lambda record: record.thread == thread and record.name.startswith("g1stream.sim"))
-    logger = logging.getLogger("g1stream")
-    logger.addHandler(stream)
-    logger.addHandler(sim)
-    try:
+    thread, logger = threading.get_ident(), logging.getLogger("g1stream")
+
+    def is_of(program: str, record: logging.LogRecord) -> bool:
+        of_sim = record.name.startswith("g1stream.sim")
+        return record.thread == thread and of_sim == (program == "sim")
+
+    with ExitStack() as stack:
+        for program in ("stream", "sim"):
+            handler = LogHandler(program, publish)
+            handler.addFilter(partial(is_of, program))
+            logger.addHandler(handler)
+            stack.callback(logger.removeHandler, handler)
         yield
-    finally:
-        logger.removeHandler(stream)
-        logger.removeHandler(sim)
 
 
 def _write_header(source: MemorySource, planned: Plan) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -71,7 +71,8 @@ class Inspect(SettingsCommand, MotionPartFlags):
         if robot.warning:
             print_warning(robot.warning)
         if self.json:
-            print_json(_as_dict(report, evidence))
+            more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
+            print_json({**asdict(report), **more, "file": evidence and asdict(evidence)})
         else:
             max_tilt = config.safety.tilt_limit("free")
             if is_quiet():
@@ -81,12 +82,6 @@ class Inspect(SettingsCommand, MotionPartFlags):
             else:
                 print_lines(render(report, evidence, max_tilt))
         return EXIT_OK if report.passed else EXIT_STOPPED
-
-
-def _as_dict(report: MotionReport, evidence: Evidence | None) -> dict[str, Any]:
-    """The motion's values, with the file's under the key `file`."""
-    more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
-    return {**asdict(report), **more, "file": evidence and asdict(evidence)}
 
 
 def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> str:

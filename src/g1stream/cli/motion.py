@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
     from g1stream.motion.readers import Evidence
 
-__all__ = ["Inspect", "render"]
+__all__ = ["Motion", "render"]
 
 #: Feet within this height of 0 stand on the floor, m: compliance of soles and floors.
 _ON_FLOOR = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(SettingsCommand, MotionPartFlags):
+class Motion(SettingsCommand, MotionPartFlags):
     """Prints a motion file's contents, the speeds that it needs, and every limit that it exceeds.
 
     `stream` makes the same check. Warnings do not change the exit code. It is a warning if the

@@ -222,15 +222,10 @@ def load_command(name: str) -> type[Command]:
     Raises:
         ConfigError: the command's extra is not installed.
     """
+    from g1stream.optional import load_object
+
     extra = COMMANDS[name].extra
     module = f"extras.{extra}.{name}_cli" if extra else f"cli.{name}"
-    try:
-        command: type[Command] = getattr(import_module(f"g1stream.{module}"), name.capitalize())
-    except ModuleNotFoundError as error:
-        if not extra:
-            raise
-        raise ConfigError(
-            f"g1stream {name} needs {error.name}, which is not installed.",
-            f"Install the extra: pip install 'g1stream[{extra}]'.",
-        ) from error
+    where = f"g1stream.{module}:{name.capitalize()}"
+    command: type[Command] = load_object(where, f"g1stream {name} needs")
     return command

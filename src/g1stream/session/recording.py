@@ -210,14 +210,12 @@ class Recording:
     @cached_property
     def policy_info(self) -> PolicyInfo | None:
         """The policy that played, with its inputs and outputs; None if they are unknown."""
-        info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
-        return info
+        return read_record(PolicyInfo, self.metadata.get("policy"))[0]
 
     @cached_property
     def attached(self) -> AttachedInfo | None:
         """How the reference was found, if it was attached afterwards; otherwise None."""
-        info, _ = read_record(AttachedInfo, self.metadata.get("attached"), "attached")
-        return info
+        return read_record(AttachedInfo, self.metadata.get("attached"))[0]
 
     def stream(self, kind: type[StreamT]) -> StreamT:
         """The samples of a DDS topic.

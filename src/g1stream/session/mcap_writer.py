@@ -48,11 +48,7 @@ def max_size(batch: MessageBatch) -> int:
 
 
 class OutputFile:
-    """An unbuffered file to which only whole pieces are written.
-
-    Args:
-        path: path of the file, which must not exist.
-    """
+    """An unbuffered new file to which only whole pieces are written."""
 
     def __init__(self, path: Path) -> None:
         self._file: Any = path.open("xb", buffering=0)
@@ -110,10 +106,7 @@ class OutputFile:
 class _ChunkIndexes:
     """The index of the chunks so far, on disk, because in memory it would grow by 150 MB an hour.
 
-    It replaces the list in the library's writer.
-
-    Args:
-        directory: directory on a disk with enough space. The file has no name in it.
+    It replaces the list in the library's writer. The file has no name in its directory.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -180,12 +173,9 @@ class McapWriter:
             raise
 
     def write_chunk(self, batches: Sequence[MessageBatch], sequence: int, *, last: bool) -> None:
-        """Write messages of one topic as a chunk: all of them or none.
+        """Write messages of one topic as a chunk, numbered from `sequence` on: all or none.
 
-        Args:
-            batches: the messages.
-            sequence: sequence number of the first message.
-            last: whether this may use the space that is reserved for the end of a file.
+        With `last` they may use the space that is reserved for the end of a file.
         """
         with output_errors(self.path):
             if not self._file.is_at(self.place):

@@ -363,15 +363,9 @@ class SessionInfo(Record):
         played: NDArray[np.bool_],
         policy: PolicyInfo | None = None,
     ) -> SessionInfo:
-        """Describe a motion that is about to be played.
+        """Describe a motion that is about to be played by the joints `played` (29,).
 
-        Args:
-            config: all settings.
-            robot: robot that plays it.
-            motion: the motion.
-            gains: arrays (29,) by the names in `Gains`.
-            played: (29,) joints that play it.
-            policy: policy that plays it.
+        `gains` has arrays (29,) by the names in `Gains`.
         """
         params = ParametersInfo.from_robot(robot)
         told: dict[str, Any] = {"policy": policy} if policy else {}

@@ -102,8 +102,7 @@ class MessagePipeline:
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """Messages at the start of a file: scenes of the robots, and the measured robot's URDF.
 
-        Args:
-            time_ns: log and publish time, ns since the epoch.
+        `time_ns` is their log and publish time, ns since the epoch.
 
         Raises:
             RobotError: the URDF has a shape that cannot be read.
@@ -123,10 +122,7 @@ class MessagePipeline:
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
 
     def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
-        """Make the messages of one round of batches.
-
-        Args:
-            batches: batches by DDS topic name, each oldest first and not empty.
+        """Make the messages of one round of batches by DDS topic, oldest first and not empty.
 
         Raises:
             ValueError: a sample is not of its topic's type.
@@ -379,9 +375,6 @@ class TrackingError:
 
     An error is known after the next reference has arrived. Its log time is the latest reception
     time of its samples.
-
-    Args:
-        n_joints: number of joints.
 
     Attributes:
         played: (n_joints,) joints that play the motion, from the last references.

@@ -98,10 +98,7 @@ def _add_primitive(entity: SceneEntity, visual: Visual, *, ghost: bool) -> Any:
 class PathEncoder:
     """Draws the path of a frame in the last seconds, as foxglove.SceneUpdate with one line.
 
-    Args:
-        entity_id: entity id of the line.
-        seconds: duration of the path, s.
-        color: red, green, blue and opacity, 0 to 1.
+    Its colour is red, green, blue and opacity, 0 to 1.
     """
 
     def __init__(self, entity_id: str, seconds: float, color: Rgba) -> None:

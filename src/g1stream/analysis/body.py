@@ -347,12 +347,7 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     """The metrics of the links in the world, relative to the pelvis's position and in its frame.
 
     Links are the 30 bodies of the G1: the pelvis and one for each joint. If only some joints were
-    played, only the links that these move are used.
-
-    Args:
-        robot: the robot's kinematics.
-        frames: the reference and the measured robot.
-        joints: motor indices of the played joints.
+    played, given by their motor indices, only the links that these move are used.
     """
     bodies = np.flatnonzero(_moved(robot, joints))
     names = [robot.link_names[i] for i in bodies]

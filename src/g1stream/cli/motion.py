@@ -85,13 +85,7 @@ class Motion(SettingsCommand, MotionPartFlags):
 
 
 def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> str:
-    """The report as text.
-
-    Args:
-        report: the check of the motion.
-        evidence: the contents of its file; None for joined motions.
-        max_tilt: pelvis tilt that ends a run, rad.
-    """
+    """The report as text, with the evidence of one file; a tilt of `max_tilt`, rad, ends a run."""
     lines = [report.name]
     if report.suspicion:  # first, because it explains the figures below
         lines.append(_line("problem", f"It looks as if {report.suspicion}."))

@@ -193,7 +193,10 @@ class SessionWriter:
             for topic, dropped in waiting.items():
                 self.counts[topic] -= dropped
         if self._replaces and any(self._channels[topic].dds_topic for topic in pending):
-            self._replace()
+            with output_errors(self.path):
+                self._place.replace(self.path)
+            self._place, self._replaces = self.path, False
+            self._file.place = self.path
 
     def close(self) -> None:
         """Write the buffered messages and the index, and close the file. It may be called again.
@@ -210,12 +213,6 @@ class SessionWriter:
             self._file.close()
             if self._replaces:
                 self._place.unlink(missing_ok=True)
-
-    def _replace(self) -> None:
-        with output_errors(self.path):
-            self._place.replace(self.path)
-        self._place, self._replaces = self.path, False
-        self._file.place = self.path
 
     def _is_due(self, now_ns: int) -> bool:
         # The absolute difference, because a clock may be set back.

@@ -251,8 +251,7 @@ def _double_placeholder_bytes(index: int) -> bytes:
 
 
 def _double_placeholder(index: int) -> float:
-    (placeholder,) = struct.unpack("<d", _double_placeholder_bytes(index))
-    return float(placeholder)
+    return float(struct.unpack("<d", _double_placeholder_bytes(index))[0])
 
 
 def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:

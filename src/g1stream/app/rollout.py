@@ -100,8 +100,7 @@ def rollout(
     """
     config = config or Config()
     if policy is not None:
-        played = config.stream.model_copy(update={"policy": str(policy)})
-        config = config.model_copy(update={"stream": played})
+        config = config.changed(stream={"policy": str(policy)})
     if config.stream.policy:
         support = support or "free"
         feedforward = feedforward or config.stream.feedforward or "dynamics"
@@ -167,15 +166,12 @@ def _resolve(
     if support == "feet" or (
         support is None and "feet" in (config.stream.support, config.sim.support)
     ):
-        config = config.model_copy(
-            update={"stream": config.stream.model_copy(update={"support": "feet"})}
-        )
+        config = config.changed(stream={"support": "feet"})
         support, feedforward = "free", feedforward or "dynamics"
     support = support or config.sim.held_by
     # The simulated robot has no remote, and the mode_machine of its kind.
     robots = SafetyConfig().mode_machine
-    safety = config.safety.model_copy(update={"deadman": None, "mode_machine": robots})
-    config = config.model_copy(update={"safety": safety})
+    config = config.changed(safety={"deadman": None, "mode_machine": robots})
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
     config = load_config(
         over=config.model_dump()

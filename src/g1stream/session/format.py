@@ -292,13 +292,9 @@ def encode_string(text: str) -> bytes:
 
 
 def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
-    """Encode a foxglove.Log.
+    """Encode what a program logs as a foxglove.Log; the time in ns since the epoch.
 
-    Args:
-        time_ns: time of the event, ns since the epoch.
-        level: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
-        name: name of the program that logs it.
-        text: the message.
+    The level is 1 debug, 2 info, 3 warning, 4 error or 5 fatal.
     """
     message = Log(level=cast("Log.Level.ValueType", level), name=name, message=text)
     message.timestamp.FromNanoseconds(time_ns)

@@ -424,9 +424,7 @@ class McapFile:
     def batches(self, topics: set[str], first_chunk: int = 0) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, in batches of one topic; those of a topic are in order.
 
-        Args:
-            topics: names.
-            first_chunk: earlier ones are left out; see `place_of`.
+        Chunks before `first_chunk` are left out; see `place_of`.
 
         Raises:
             RecordingError: a chunk is damaged.

@@ -325,12 +325,9 @@ class MemorySource(SessionSource):
 
 
 class ExtendedSource(SessionSource):
-    """A session with messages, metadata and attachments added to it.
+    """A session with topics that it does not have added to it, and metadata and attachments.
 
-    Args:
-        source: the session.
-        added: topics that the session does not have. Its metadata and attachments replace those
-            with the same name.
+    Added metadata and attachments replace those with the same name.
     """
 
     def __init__(self, source: SessionSource, added: MemorySource) -> None:

@@ -186,11 +186,7 @@ def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_E
 
 
 class Decimator:
-    """Reduces a stream to a rate by keeping the first message of each period.
-
-    Args:
-        rate: rate to keep, Hz; a slower stream is unchanged.
-    """
+    """Keeps the first message of each period of a rate, Hz; a slower stream is unchanged."""
 
     def __init__(self, rate: float) -> None:
         self._period = round(1e9 / rate)

@@ -107,12 +107,9 @@ class PathEncoder:
         self._points: Floats = np.empty((0, 3))
 
     def encode(self, times: Ints, points: Floats, instants: Ints) -> list[bytes]:
-        """Add points, and draw the line at some of their times.
+        """Add points (T, 3) m, world, at times (T,) ns since the epoch.
 
-        Args:
-            times: (T,) ns since the epoch.
-            points: (T, 3) m, world.
-            instants: (K,) the times at which a line is drawn.
+        A line is drawn at each of some of these times, (K,).
         """
         self._times = np.append(self._times, times)
         self._points = np.concatenate([self._points, points])

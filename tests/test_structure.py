@@ -19,7 +19,7 @@ MOST = {
     "support": 21,
     "clock of the robot": 8,
     "simulator or robot": 24,
-    "recordings of others": 18,
+    "recordings of others": 16,
     "foreign formats": 8,
     "parameters of a robot": 12,
 }

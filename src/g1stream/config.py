@@ -680,6 +680,11 @@ class Config(Table):
             {name: getattr(self, name) for name in type(self).model_fields}
         )
 
+    def changed(self, **tables: Mapping[str, Any]) -> Config:
+        """Other values in some tables, not checked, such as `changed(sim={"support": "free"})`."""
+        new = {name: getattr(self, name).model_copy(update=one) for name, one in tables.items()}
+        return self.model_copy(update=new)
+
     def wider_than_robot(self) -> list[WiderValue]:
         """The values that are less careful than those of the profile `robot`."""
         values = self.model_dump()

@@ -57,8 +57,8 @@ def extension(name: str) -> Any:
     return load_object(EXTENSIONS[name])
 
 
-def load_object(where: str) -> Any:
-    """Load an object from a module, given as `module:name`.
+def load_object(where: str, purpose: str = "") -> Any:
+    """Load an object from a module, given as `module:name`; `purpose` as of `import_extra`.
 
     Raises:
         ConfigError: a package that the extra needs is not installed.
@@ -70,7 +70,7 @@ def load_object(where: str) -> Any:
         if not module.startswith("g1stream.extras."):
             raise
         package, extra = error.name or "", module.split(".")[2]
-        raise not_installed(package, extra, f"The extra `{extra}` needs") from error
+        raise not_installed(package, extra, purpose or f"The extra `{extra}` needs") from error
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:

@@ -47,17 +47,16 @@ def told_apart(value: float, limit: float) -> tuple[str, str]:
     return texts
 
 
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Names as a list, cut after the first `most`: `a, b and 3 more`."""
-    shown = ", ".join(names[:most]) or "nothing"
-    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
+def listed(names: Sequence[str], most: int = 20, noun: str = "") -> str:
+    """Names as a list, cut after the first `most`: `a, b and 3 more`, or `3 more spans`."""
+    shown, rest = ", ".join(names[:most]) or "nothing", len(names) - most
+    more = counted(rest, f"more {noun}") if noun else f"{rest} more"
+    return f"{shown} and {more}" if rest > 0 else shown
 
 
 def ranges(spans: Sequence[tuple[int, int]], most: int) -> str:
     """Spans (first, last) as a list, cut after the first `most`: `0 to 3, 7 and 2 more spans`."""
-    shown = ", ".join(f"{a} to {b}" if a < b else f"{a}" for a, b in spans[:most])
-    more = len(spans) - most
-    return f"{shown} and {counted(more, 'more span')}" if more > 0 else shown
+    return listed([f"{a} to {b}" if a < b else f"{a}" for a, b in spans], most, "span")
 
 
 def short_name(name: str) -> str:

@@ -49,7 +49,7 @@ def test_a_directory_of_somebody_else_is_kept_even_from_force(tmp_path, domain_i
     assert precious.read_bytes() == b"precious"
 
 
-OF_CORE = [name for name, row in COMMANDS.items() if not row.home.startswith("extras.")]
+OF_CORE = [name for name, row in COMMANDS.items() if not row.extra]
 
 
 @pytest.mark.parametrize("command", OF_CORE)

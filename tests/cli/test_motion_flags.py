@@ -8,7 +8,7 @@ from g1stream.cli.convert import Convert
 from g1stream.cli.demo import Demo
 from g1stream.cli.flags import parse_flags
 from g1stream.cli.main import main
-from g1stream.cli.motion import Inspect
+from g1stream.cli.motion import Motion as MotionCommand
 from g1stream.cli.motion_flags import MotionFlags
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, RecordingError
@@ -16,7 +16,7 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.session.records import MotionInfo
 
-COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
+COMMANDS = {"stream": Stream, "motion": MotionCommand, "convert": Convert, "demo": Demo}
 CHANGES = ["--mirror", "--on-floor", "--speed", "0.5"]
 CHANGES += ["--repeat", "2", "--blend", "1", "--root", "fix"]
 

@@ -16,7 +16,7 @@ WRITES = {
     *("demo", "stream", "record", "convert", "library", "attach", "report", "plot"),
     *("simulate", "fit", "render", "layout"),
 }
-OF_EXTRAS = {name: row for name, row in COMMANDS.items() if row.home.startswith("extras.")}
+OF_EXTRAS = {name: row for name, row in COMMANDS.items() if row.extra}
 
 
 @pytest.mark.parametrize("command", OF_EXTRAS)
@@ -54,5 +54,5 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it():
     )
     told = done.stderr.split("\n2\n")
     for row, said in zip(OF_EXTRAS.values(), told, strict=False):
-        assert f"pip install 'g1stream[{row.home.split('.')[1]}]'" in said
+        assert f"pip install 'g1stream[{row.extra}]'" in said
     assert len(told) == len(OF_EXTRAS) + 1

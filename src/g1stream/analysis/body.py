@@ -347,12 +347,7 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     """The metrics of the links in the world, relative to the pelvis's position and in its frame.
 
     Links are the 30 bodies of the G1: the pelvis and one for each joint. If only some joints were
-    played, only the links that these move are used.
-
-    Args:
-        robot: the robot's kinematics.
-        frames: the reference and the measured robot.
-        joints: motor indices of the played joints.
+    played, given by their motor indices, only the links that these move are used.
     """
     bodies = np.flatnonzero(_moved(robot, joints))
     names = [robot.link_names[i] for i in bodies]
@@ -363,8 +358,8 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     # Without a position nothing is known of the links in the world.
     tracked = tracked if frames.has_position else []
     links = [*bodies, *map(robot.link_index, tracked)]
-    anchored = np.empty((len(frames.motion_time), 6))
     n_frames = len(frames.motion_time)
+    anchored = np.empty((n_frames, 6))
     alone, relative = np.empty((2, n_frames, len(bodies), 3))
     asked, done = (
         LinkPoses(np.empty((n_frames, len(ends), 3)), np.empty((n_frames, len(ends), 4)))
@@ -431,10 +426,9 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
 def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
     """(L,) the bodies that the played joints move; and the pelvis, if all joints were played."""
     bodies = robot.joint_of_link >= 0
-    played = np.isin(robot.joint_of_link, joints)
-    if np.array_equal(played, bodies):
+    moved = np.isin(robot.joint_of_link, joints)
+    if np.array_equal(moved, bodies):
         return np.asarray(bodies | (robot.parent < 0))
-    moved = played.copy()
     for link in range(1, len(moved)):  # parents come before children
         moved[link] |= moved[robot.parent[link]]
     return np.asarray(moved & bodies)

@@ -170,7 +170,13 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
     Raises:
         RecordingError: the file is damaged.
     """
-    _read(session)
+    more = {
+        ReferenceStream: REFERENCE_COLUMNS,
+        MeasuredStream: (*MEASURED_COLUMNS, "tau"),
+        BaseStream: BaseStream.wire_fields(),
+    }
+    # In one pass, with the columns of the summary.
+    session.read({kind: (*names, *more.get(kind, ())) for kind, names in SUMMARY_COLUMNS.items()})
     summary = summarise(session)
     missing: dict[str, str] = {}
     found = None
@@ -217,16 +223,6 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
         timing=timing_metrics(session, summary),
         missing=missing,
     )
-
-
-def _read(session: Recording) -> None:
-    """Read the columns that are needed in one pass, those of the summary among them."""
-    more = {
-        ReferenceStream: REFERENCE_COLUMNS,
-        MeasuredStream: (*MEASURED_COLUMNS, "tau"),
-        BaseStream: BaseStream.wire_fields(),
-    }
-    session.read({kind: (*names, *more.get(kind, ())) for kind, names in SUMMARY_COLUMNS.items()})
 
 
 def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:

@@ -112,6 +112,8 @@ def plot(
     session: Recording, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
 ) -> Figure:
     """See `Session.plot`."""
+    from matplotlib import style
+
     if isinstance(joints, str):
         joints = joints.split(",")
     chosen = None
@@ -121,15 +123,16 @@ def plot(
     if chosen == []:
         raise RecordingError("There is no joint to plot.", "Name a joint, or omit the joints.")
     overview = chosen is None or len(chosen) <= _PANELS
-    if overview and what is None and session.phases and all(map(session.topics.get, _COMPARED)):
-        return _overview(session, chosen)
-    all_joints = range(N_JOINTS)
-    return _plot_joints(session, chosen or all_joints, chosen_quantities(what or ("q",)))
+    # Without the user's own style, which could break the layout.
+    with style.context(["default", dict(_STYLE)]):
+        if overview and what is None and session.phases and all(map(session.topics.get, _COMPARED)):
+            return _overview(session, chosen)
+        quantities = chosen_quantities(what or ("q",))
+        return _plot_joints(session, chosen or range(N_JOINTS), quantities)
 
 
 def _overview(session: Recording, joints: list[int] | None) -> Figure:
     """The joints, or those that move most, the error over time and each joint's RMSE."""
-    from matplotlib import style
     from matplotlib.figure import Figure
 
     try:
@@ -139,32 +142,30 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
     whole = session.phases[0].start_s, session.phases[-1].end_s
     shown, worst = _joints_to_show(session, followed) if joints is None else (joints, None)
     view = _view(*whole, followed)
-    # Without the user's own style, which could break the layout.
-    with style.context(["default", dict(_STYLE)]):
-        figure = Figure(figsize=_INCHES, dpi=_DPI)
-        _draw_head(figure, session, followed)
-        cells = figure.add_gridspec(
-            3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
-        )
-        rows = 1 if len(shown) <= 3 else 2
-        panels = cells[:2, :].subgridspec(rows, -(-len(shown) // rows), wspace=0.16, hspace=0.34)
-        angles = signal(session, "q")
-        for i, joint in enumerate(shown):
-            axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
-            _draw_panel(axes, angles, joint, view)
-            if followed:
-                rmse, largest = np.degrees((followed.rmse[joint], followed.max_abs[joint]))
-                axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
-            axes.margins(y=0.1)
-            _shade_phases(axes, session.phases)
-            _set_times(axes, *view)
-            if joint == worst:  # below the title, because the title's line has no room
-                _annotate(
-                    axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
-                )
-        _draw_error(figure.add_subplot(cells[2, :2]), session, followed, view)
+    figure = Figure(figsize=_INCHES, dpi=_DPI)
+    _draw_head(figure, session, followed)
+    cells = figure.add_gridspec(
+        3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
+    )
+    rows = 1 if len(shown) <= 3 else 2
+    panels = cells[:2, :].subgridspec(rows, -(-len(shown) // rows), wspace=0.16, hspace=0.34)
+    angles = signal(session, "q")
+    for i, joint in enumerate(shown):
+        axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
+        _draw_panel(axes, angles, joint, view)
         if followed:
-            _draw_bars(figure.add_subplot(cells[2, 2]), followed)
+            rmse, largest = np.degrees((followed.rmse[joint], followed.max_abs[joint]))
+            axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
+        axes.margins(y=0.1)
+        _shade_phases(axes, session.phases)
+        _set_times(axes, *view)
+        if joint == worst:  # below the title, because the title's line has no room
+            _annotate(
+                axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
+            )
+    _draw_error(figure.add_subplot(cells[2, :2]), session, followed, view)
+    if followed:
+        _draw_bars(figure.add_subplot(cells[2, 2]), followed)
     return figure
 
 
@@ -296,7 +297,6 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
 
     If there are fewer joints than quantities, joints are the columns, for a better shape.
     """
-    from matplotlib import style
     from matplotlib.figure import Figure
 
     signals = [signal(session, quantity) for quantity in what]
@@ -308,24 +308,23 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
         )
     first, last = min(float(one[0]) for one in ends), max(float(one[1]) for one in ends)
     phases = session.phases
-    with style.context(["default", dict(_STYLE)]):
-        stacked = len(joints) < len(signals)
-        shape = (len(signals), len(joints)) if stacked else (len(joints), len(signals))
-        height = _TALL_PANEL if stacked else _PANEL_HEIGHT
-        size = (_PANEL_WIDTH * max(shape[1], _LEAST_WIDTH), height * shape[0] + _HEAD)
-        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-        figure.suptitle(session.path.name, color=_MUTED)
-        panels = figure.subplots(*shape, squeeze=False, sharex=True)
-        by_joint = panels.T if stacked else panels
-        for row, joint in zip(by_joint, joints, strict=True):
-            for axes, one in zip(row, signals, strict=True):
-                _draw_panel(axes, one, joint, (first, last))
-                _shade_phases(axes, phases)
-        for axes, one in zip(by_joint[0], signals, strict=True):
-            if one.lines:
-                axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=2)
-        for axes in panels[-1]:
-            _set_times(axes, first, last)
+    stacked = len(joints) < len(signals)
+    shape = (len(signals), len(joints)) if stacked else (len(joints), len(signals))
+    height = _TALL_PANEL if stacked else _PANEL_HEIGHT
+    size = (_PANEL_WIDTH * max(shape[1], _LEAST_WIDTH), height * shape[0] + _HEAD)
+    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    figure.suptitle(session.path.name, color=_MUTED)
+    panels = figure.subplots(*shape, squeeze=False, sharex=True)
+    by_joint = panels.T if stacked else panels
+    for row, joint in zip(by_joint, joints, strict=True):
+        for axes, one in zip(row, signals, strict=True):
+            _draw_panel(axes, one, joint, (first, last))
+            _shade_phases(axes, phases)
+    for axes, one in zip(by_joint[0], signals, strict=True):
+        if one.lines:
+            axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=2)
+    for axes in panels[-1]:
+        _set_times(axes, first, last)
     return figure
 
 

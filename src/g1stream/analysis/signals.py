@@ -98,12 +98,8 @@ def signal(
     """A quantity of joints of a session; without lines where nothing of it was recorded.
 
     Positions, velocities and errors are in degrees. The commanded torque is
-    `Session.commanded_torque`.
-
-    Args:
-        session: of any kind.
-        quantity: which.
-        joints: motor indices; of a long session a few joints at a time take less memory.
+    `commanded_torque`. In a long session a few `joints` at a time, by motor index, take less
+    memory.
     """
     makers: dict[Quantity, Callable[[], Signal]] = {
         "q": lambda: Signal("position", "deg", _asked_and_measured(session, "q", joints)),

@@ -171,12 +171,7 @@ def summarise(session: Recording) -> Summary:
 
 
 def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
-    """The rate, gaps and latency of a topic.
-
-    Args:
-        stream: stream with at least one message.
-        lost: number of samples known to be lost.
-    """
+    """The rate, gaps and latency of a topic with at least one message, and its `lost` samples."""
     times_ns = np.sort(stream.published)
     intervals = np.diff(times_ns) / 1e9
     span = float(times_ns[-1] - times_ns[0]) / 1e9

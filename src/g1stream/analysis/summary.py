@@ -28,7 +28,7 @@ from g1stream.session.records import (
     RecorderSummary,
     StreamSummary,
 )
-from g1stream.text import counted, labelled, short_name, table
+from g1stream.text import counted, labelled, listed, short_name, table
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -330,9 +330,7 @@ def outcome(summary: Summary) -> str:
 
 def most(ticks: Mapping[str, int]) -> str:
     """The first joints with their ticks, and the number of the others."""
-    named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
-    rest = len(ticks) - _MOST_JOINTS
-    return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
+    return listed([f"{joint} {n}" for joint, n in ticks.items()], _MOST_JOINTS, "joint")
 
 
 def session_facts(summary: Summary) -> list[tuple[str, str]]:
@@ -356,6 +354,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         for topic, delay in (recorder.delays if recorder else {}).items()
         if delay.clock_offset_estimate_ns is not None
     ]
+    parts = [_motion(one, joined=True) for one in motion.parts] if motion else []
     attached = [f"{name} ({_size(n)})" for name, n in summary.attachments_bytes.items()]
     return _filled(
         ("session", _files(summary) if summary.files_bytes or recorder else ""),
@@ -365,7 +364,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         ("motion", _motion(motion) if motion else ""),
         ("sha256", _hash(motion) if motion else ""),
         ("reference", _attached(summary.attached) if summary.attached else ""),
-        ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),
+        ("joined of", "; ".join(parts)),
         ("joints", _joints(summary)),
         ("phases", ", ".join(phases)),
         ("ended", _ended(summary)),
@@ -457,12 +456,14 @@ def _recorded(summary: Summary) -> str:
     return ", ".join(parts + ([f"by g1stream {version}"] if version else []))
 
 
-def _motion(motion: MotionInfo) -> str:
-    parts = [motion.name or "unknown"]
-    parts += [counted(motion.frames, "frame")] if motion.frames else []
-    parts += [f"{motion.fps:g} fps"] if motion.fps else []
-    parts += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
-    return ", ".join([*parts, *motion.operations])
+def _motion(motion: MotionInfo, *, joined: bool = False) -> str:
+    """A motion; of one that was joined with others its hash, because no other line has it."""
+    frames = counted(motion.frames, "frame") if motion.frames else ""
+    fps = f"{motion.fps:g} fps" if motion.fps else ""
+    seconds = "" if motion.duration_s is None else f"{motion.duration_s:.2f} s"
+    sha256 = f"sha256 {motion.sha256[:12]}" if motion.sha256 else ""
+    told = (seconds, sha256) if joined else (frames, fps, seconds)
+    return ", ".join(filter(None, (motion.name or "unknown", *told, *motion.operations)))
 
 
 def _hash(motion: MotionInfo) -> str:
@@ -470,14 +471,6 @@ def _hash(motion: MotionInfo) -> str:
     of = "" if motion.sha256 else "of its frames "
     value = motion.sha256 or motion.content_sha256 or ""
     return f"{of}{value[:12]}" if value else ""
-
-
-def _part(motion: MotionInfo) -> str:
-    """One of the motions that were joined."""
-    about = [motion.name or "unknown"]
-    about += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
-    about += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
-    return ", ".join([*about, *motion.operations])
 
 
 def _joints(summary: Summary) -> str:

@@ -178,10 +178,7 @@ def commanded_torque(session: Recording) -> Floats:
     """(M, 29) N·m, float32, torque of the newest command at each of the M LowStates.
 
     It is tau + kp (q - measured) + kd (dq - measured). It is nan if the command is more than
-    100 ms old, or if command or state is not finite.
-
-    Args:
-        session: session with commands and states.
+    100 ms old, or if command or state is not finite. The session must have both.
     """
     measured = session.measured.read("q", "dq")
     instants, times = measured.published, session.command.published

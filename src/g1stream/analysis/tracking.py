@@ -71,7 +71,6 @@ __all__ = [
     "pooled",
     "rms",
     "tracking",
-    "worst_joints",
 ]
 
 #: Rows of 29 joints in one block of a computation.
@@ -354,16 +353,6 @@ def no_joints(session: Recording, found: Tracking) -> tuple[int, ...]:
         if motors[(stream.time >= first) & (stream.time <= last)].any():
             return AB_JOINTS
     return ()
-
-
-def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
-    """The played joints with the largest RMSE, largest first; empty if nothing was compared."""
-    try:
-        found = tracking(session)
-    except NothingToCompareError:
-        return ()
-    worst = sorted(found.joints, key=lambda joint: -found.rmse[joint])
-    return tuple(JOINT_NAMES[joint] for joint in worst[:most])
 
 
 def compare(

@@ -144,12 +144,9 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
 
 
 def _plausible_state(participant: Participant, plan: Plan) -> Reading:
-    checks, state = (
-        LowStateChecks(plan.robot, plan.held, plan.config.safety, plan.config.constants),
-        LowState(),
-    )
-    wait = plan.config.stream.wait
-    deadline = time.monotonic() + wait
+    config, state = plan.config, LowState()
+    checks = LowStateChecks(plan.robot, plan.held, config.safety, config.constants)
+    deadline = time.monotonic() + config.stream.wait
     with closing(RawReader(participant, LOWSTATE)) as reader:
         while time.monotonic() < deadline:
             if sample := reader.take_latest():
@@ -162,7 +159,7 @@ def _plausible_state(participant: Participant, plan: Plan) -> Reading:
             time.sleep(_POLL)
     raise WireError(
         f"The pose of the robot is unknown: {checks.unknown(time.monotonic_ns())}, after "
-        f"stream.wait = {wait:g} s.",
+        f"stream.wait = {config.stream.wait:g} s.",
         f"Run: g1stream doctor --domain {participant.domain} --interface {participant.interface}",
     )
 
@@ -172,14 +169,7 @@ def _limbs(distance: Floats, plan: Plan) -> tuple[LimbDistance, ...]:
     for limb, joints in JOINT_GROUPS.items():
         indices = list(joints)
         furthest = max(indices, key=lambda joint: abs(distance[joint]))
-        kp, kd = plan.gains.kp[indices], plan.gains.kd[indices]
-        found.append(
-            LimbDistance(
-                limb,
-                JOINT_NAMES[furthest],
-                float(distance[furthest]),
-                (float(kp.min()), float(kp.max())),
-                (float(kd.min()), float(kd.max())),
-            )
-        )
+        gains = (plan.gains.kp[indices], plan.gains.kd[indices])
+        kp, kd = ((float(one.min()), float(one.max())) for one in gains)
+        found.append(LimbDistance(limb, JOINT_NAMES[furthest], float(distance[furthest]), kp, kd))
     return tuple(found)

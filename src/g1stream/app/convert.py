@@ -39,12 +39,7 @@ __all__ = ["ConvertReport", "convert", "frame_timestamps", "parse_time"]
 #: Poses in one chunk. A chunk (about 6 kB a pose) fits into the processor's cache, which makes
 #: encoding several times faster, and is large enough to compress well.
 _CHUNK: Final = 128
-_TF, _JOINTS, _SCENE, _DESCRIPTION = (
-    "/tf",
-    "/reference/joint_states",
-    "/scene",
-    "/robot_description",
-)
+_TF, _JOINTS = "/tf", "/reference/joint_states"
 _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 
 _NS_PER_S: Final = 1_000_000_000
@@ -155,7 +150,10 @@ def convert(
     with complete_file(out, force=force) as temporary, SessionWriter(temporary) as writer:
         writer.add_metadata(_metadata(motion, robot, how))
         if not only_tf:
-            _write_file_header(writer, motion, robot, first, drawn)
+            writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
+            attach_motion(writer, MotionInfo.from_motion(motion), first)
+            writer.write("/scene", encode_scene(first, robot, drawn), first, first)
+            writer.write("/robot_description", encode_string(robot.urdf), first, first)
         poses_of_motion = _poses(motion, base_time_ns, resample, start, stop)
         for times, joint_pos, root_pos, root_quat, *rates in poses_of_motion:
             root = (root_pos, root_quat) if floating_root else IDENTITY_POSE
@@ -224,16 +222,6 @@ def _poses(
     for part in parts:
         for first in range(0, len(part[0]), _CHUNK):
             yield tuple(array[first : first + _CHUNK] for array in part)
-
-
-def _write_file_header(
-    writer: SessionWriter, motion: Motion, robot: G1, first: int, meshes: Any
-) -> None:
-    """Write the file's attachments, scene and URDF."""
-    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
-    attach_motion(writer, MotionInfo.from_motion(motion), first)
-    writer.write(_SCENE, encode_scene(first, robot, meshes), first, first)
-    writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
 
 
 def _metadata(motion: Motion, robot: G1, how: dict[str, Any]) -> dict[str, Any]:

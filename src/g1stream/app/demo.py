@@ -57,8 +57,7 @@ def demo(
     with output_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     # The stream publishes for ROS 2, so nothing else does.
-    quiet = config.dds.model_copy(update={"ros_tf": False})
-    sim = Child("sim", config.model_copy(update={"dds": quiet}))
+    sim = Child("sim", config.changed(dds={"ros_tf": False}))
     try:
         sim.wait_until_ready()
         played = stream(
@@ -91,9 +90,7 @@ def _on_its_feet(config: Config) -> Config:
             "Give --support feet, or remove --support.",
         )
     balanced = config.stream.support if config.stream.policy else "feet"
-    sim = config.sim.model_copy(update={"support": "free"})
-    stream = config.stream.model_copy(update={"support": balanced})
-    return config.model_copy(update={"sim": sim, "stream": stream})
+    return config.changed(sim={"support": "free"}, stream={"support": balanced})
 
 
 def _check_local_only(interface: str) -> None:
@@ -125,8 +122,7 @@ def _with_free_domain(config: Config) -> Config:
     for domain in range(first, first + (1 if given else _MOST_DOMAINS)):
         others = _publishers(domain, config.dds.interface)
         if not others:
-            dds = config.dds.model_copy(update={"domain": domain})
-            return config.model_copy(update={"dds": dds})
+            return config.changed(dds={"domain": domain})
         _LOGGER.info("DDS domain %d is in use by %s", domain, ", ".join(others))
     raise WireError(
         f"DDS domain {domain} has other publishers: {', '.join(others)}.",

@@ -27,7 +27,7 @@ from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.records import RecorderSummary, SessionInfo
-from g1stream.session.writer import SessionWriter, attach_motion, attach_policy
+from g1stream.session.writer import SessionWriter, attach_run
 from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["record"]
@@ -75,9 +75,10 @@ def record(
     """
     config = config or Config()
     settings, robot = config.record, G1.of_config(config)
+    info = session or SessionInfo()
     # Before the file is created, because this may raise.
-    pipeline = MessagePipeline(robot, settings, session.policy if session else None)
-    about, now = _metadata(config, session or SessionInfo()), time.time_ns()
+    pipeline = MessagePipeline(robot, settings, info.policy)
+    about, now = _metadata(config, info), time.time_ns()
 
     with ExitStack() as stack:
         receiver = stack.enter_context(SampleReceiver(config))
@@ -88,10 +89,7 @@ def record(
         stack.callback(_remove_if_empty, writer)
         stack.enter_context(writer)
         writer.add_metadata(about)
-        writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
-        writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
-        attach_policy(writer, session.policy if session else None, now)
-        attach_motion(writer, session.motion if session else None, now)
+        attach_run(writer, robot, config, info, now)
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
         writer.flush()

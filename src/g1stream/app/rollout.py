@@ -6,8 +6,9 @@ import logging
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, get_args
@@ -26,7 +27,7 @@ from g1stream.motion.readers import default_motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
-from g1stream.session.writer import attach_motion, attach_policy
+from g1stream.session.writer import attach_run
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.types import FeedForwardKind, StreamSupport, Support
@@ -99,8 +100,7 @@ def rollout(
     """
     config = config or Config()
     if policy is not None:
-        played = config.stream.model_copy(update={"policy": str(policy)})
-        config = config.model_copy(update={"stream": played})
+        config = config.changed(stream={"policy": str(policy)})
     if config.stream.policy:
         support = support or "free"
         feedforward = feedforward or config.stream.feedforward or "dynamics"
@@ -166,15 +166,12 @@ def _resolve(
     if support == "feet" or (
         support is None and "feet" in (config.stream.support, config.sim.support)
     ):
-        config = config.model_copy(
-            update={"stream": config.stream.model_copy(update={"support": "feet"})}
-        )
+        config = config.changed(stream={"support": "feet"})
         support, feedforward = "free", feedforward or "dynamics"
     support = support or config.sim.held_by
     # The simulated robot has no remote, and the mode_machine of its kind.
     robots = SafetyConfig().mode_machine
-    safety = config.safety.model_copy(update={"deadman": None, "mode_machine": robots})
-    config = config.model_copy(update={"safety": safety})
+    config = config.changed(safety={"deadman": None, "mode_machine": robots})
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
     config = load_config(
         over=config.model_dump()
@@ -184,7 +181,11 @@ def _resolve(
             "stream.duration": None if seconds is None else float(seconds),
             "stream.joints": joints,
         }
-        | {f"gains.{name}": _by_joint(given) for name, given in gains.items()}
+        | {
+            f"gains.{name}": dict(given) if isinstance(given, Mapping) else {"*": given}
+            for name, given in gains.items()
+            if given is not None
+        }
     )
     if config.stream.via != "lowcmd":
         raise ConfigError(
@@ -199,30 +200,22 @@ def _resolve(
     return config
 
 
-def _by_joint(gain: float | Mapping[str, float] | None) -> dict[str, float] | None:
-    """A table of gains as a config has it."""
-    if gain is None:
-        return None
-    return dict(gain) if isinstance(gain, Mapping) else {"*": gain}
-
-
 @contextmanager
 def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
     """Publish what this thread logs, as the stream and the bridge publish their events."""
-    thread = threading.get_ident()
-    stream, sim = LogHandler("stream", publish), LogHandler("sim", publish)
-    stream.addFilter(
-        lambda record: record.thread == thread and not record.name.startswith("g1stream.sim")
-    )
-    sim.addFilter(lambda record: record.thread == thread and record.name.startswith("g1stream.sim"))
-    logger = logging.getLogger("g1stream")
-    logger.addHandler(stream)
-    logger.addHandler(sim)
-    try:
+    thread, logger = threading.get_ident(), logging.getLogger("g1stream")
+
+    def is_of(program: str, record: logging.LogRecord) -> bool:
+        of_sim = record.name.startswith("g1stream.sim")
+        return record.thread == thread and of_sim == (program == "sim")
+
+    with ExitStack() as stack:
+        for program in ("stream", "sim"):
+            handler = LogHandler(program, publish)
+            handler.addFilter(partial(is_of, program))
+            logger.addHandler(handler)
+            stack.callback(logger.removeHandler, handler)
         yield
-    finally:
-        logger.removeHandler(stream)
-        logger.removeHandler(sim)
 
 
 def _write_header(source: MemorySource, planned: Plan) -> None:
@@ -236,8 +229,4 @@ def _write_header(source: MemorySource, planned: Plan) -> None:
             **info.model_dump(mode="json", exclude_unset=True),
         }
     )
-    source.attach("robot.urdf", "application/xml", planned.robot.urdf.encode(), EPOCH)
-    settings = planned.config.model_dump_json().encode()
-    source.attach("config.json", "application/json", settings, EPOCH)
-    attach_policy(source, info.policy, EPOCH)
-    attach_motion(source, info.motion, EPOCH)
+    attach_run(source, planned.robot, planned.config, info, EPOCH)

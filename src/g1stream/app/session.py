@@ -265,11 +265,7 @@ class Session(Recording):
         table = import_extra("pandas", *_EXPORT)
         if topic is None:
             found = self.tracking()
-            angles = {
-                "reference": found.reference,
-                "measured": found.measured,
-                "error": found.error,
-            }
+            angles = {what: getattr(found, what) for what in ("reference", "measured", "error")}
             followed = {
                 f"{what}.{JOINT_NAMES[joint]}": values[:, joint]
                 for joint in found.joints

@@ -40,15 +40,7 @@ _OF_SESSION: Any = {"advanced": True, "needs": ("files=*.mcap",), "excludes": ("
 
 
 class _StoppedError(BaseException):
-    """A signal was received.
-
-    Args:
-        number: its number.
-    """
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    """A signal was received; its number is the argument."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,9 +176,10 @@ class Convert(MotionPartFlags):
         try:
             return self._convert()
         except _StoppedError as stopped:
-            name = Stop.by_signal(stopped.number).text
+            number: int = stopped.args[0]
+            name = Stop.by_signal(number).text
             print(f"\nStopped by {name}; nothing was written.", file=sys.stderr)
-            return EXIT_SIGNAL + stopped.number
+            return EXIT_SIGNAL + number
 
     def _motion(self, robot: G1 | None = None) -> Motion:
         """The joined motions, cut to the frames of --frames."""

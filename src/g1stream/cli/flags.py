@@ -56,7 +56,6 @@ class _Option:
     metavar: str = ""
     note: str = ""
     limits: tuple[Any, ...] = ()
-    required: bool = False
     positional: bool = False
     aliases: tuple[str, ...] = ()
     switches_off: bool = False
@@ -89,15 +88,13 @@ def flag(
     is --out or the last. A command without KEY does not need it. What a flag needs is declared
     before the flag.
     """
-    required = default is MISSING
     if not shown and default not in (None, False, MISSING):
         shown = _text(default)
     option = _Option(
         text=text,
         metavar=metavar,
-        note="required" if required else f"default: {shown}" if shown else "",
+        note="required" if default is MISSING else f"default: {shown}" if shown else "",
         limits=() if gt is None else (Gt(gt),),
-        required=required,
         positional=positional,
         aliases=aliases,
         advanced=advanced,
@@ -204,9 +201,10 @@ class _Parser(ArgumentParser):
     ) -> None:
         """Add a flag, or a positional argument, with the type of its value.
 
-        Only a positional argument needs the default here, because argparse cannot leave it unset.
+        The default MISSING makes it required. Only a positional argument needs another one here,
+        because argparse cannot leave it unset.
         """
-        self._options[key] = option
+        self._options[key], required = option, default is MISSING
         needs = self._needs(key)
         notes = "; ".join(filter(None, (needs and f"needs {needs}", option.note)))
         text = f"{option.text} ({notes})" if notes else option.text
@@ -225,14 +223,14 @@ class _Parser(ArgumentParser):
             about["type"] = self._reader(shown, kind, option.limits)
             about["action"] = "append" if get_origin(kind) is list else "store"
             if get_origin(kind) is tuple:
-                about["nargs"] = "*" if option.positional and not option.required else "+"
-            elif option.positional and not option.required:
+                about["nargs"] = "*" if option.positional and not required else "+"
+            elif option.positional and not required:
                 about["nargs"] = "?"
         if option.positional:
             group.add_argument(key, default=default, **about)
-            self._usage.append(metavar if option.required else f"[{metavar}]")
+            self._usage.append(metavar if required else f"[{metavar}]")
             return
-        if option.required:
+        if required:
             self._usage.append(f"{names[-1]} {metavar}")
             about["required"] = True
         if "nargs" in about:  # argparse itself shows that the value may be repeated

@@ -26,78 +26,35 @@ class _Row(NamedTuple):
     """A command.
 
     Attributes:
-        home: its module and class, imported only when it runs. The folder below `extras` is the
-            name of its extra.
         purpose: one sentence for the list of commands.
+        extra: the extra that has it; empty for a command of the core.
     """
 
-    home: str
     purpose: str
+    extra: str = ""
 
 
 COMMANDS: Final = {
-    name: _Row(*row)
-    for name, row in {
-        "demo": (
-            "cli.demo:Demo",
-            "Simulate a G1 on this machine, play a motion, record and compare.",
-        ),
-        "stream": ("cli.stream:Stream", "Play a motion on the robot or simulator on DDS."),
-        "sim": ("cli.sim:Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the robot's topics."),
-        "record": ("cli.record:Record", "Record the DDS topics into a session file (MCAP)."),
-        "convert": (
-            "cli.convert:Convert",
-            "Convert a motion into MCAP, CSV or NPZ, a session into a ROS 2 bag.",
-        ),
-        "library": (
-            "extras.library.library_cli:Library",
-            "Check many motions, or simulate rollouts of them.",
-        ),
-        "info": ("cli.info:Info", "Print a session's contents and its tracking error."),
-        "attach": (
-            "extras.attach.attach_cli:Attach",
-            "Find where in a recording of another program a motion was played.",
-        ),
-        "report": (
-            "extras.report.report_cli:Report",
-            "Write an HTML page about sessions: tables, figures, events.",
-        ),
-        "plot": ("cli.plot:Plot", "Plot joints of a session: PNG, SVG or PDF."),
-        "compare": (
-            "extras.report.compare_cli:Compare",
-            "Compare sessions of the same motion: improvements and regressions.",
-        ),
-        "simulate": (
-            "extras.fit.simulate_cli:Simulate",
-            "Simulate a session's commands, and compare with the measured robot.",
-        ),
-        "fit": (
-            "extras.fit.fit_cli:FitParameters",
-            "Identify friction, armature, delay and masses from sessions.",
-        ),
-        "render": (
-            "extras.video.render_cli:Render",
-            "Make a video of a session: the robot, and its reference as a ghost.",
-        ),
-        "layout": ("extras.layout.layout_cli:Layout", "Write a viewer layout for sessions."),
-        "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
-        "policy": (
-            "extras.policy.policy_cli:Policy",
-            "Show the inputs and outputs of a learned policy.",
-        ),
-        "physics": (
-            "extras.physics.physics_cli:Physics",
-            "Compute the torques and forces that a motion needs.",
-        ),
-        "robot": (
-            "extras.onboard.robot_cli:Robot",
-            "Show, release or restore the robot's own controller.",
-        ),
-        "doctor": (
-            "cli.doctor:Doctor",
-            "Diagnose the DDS connection to the robot and this machine's timing.",
-        ),
-    }.items()
+    "demo": _Row("Simulate a G1 on this machine, play a motion, record and compare."),
+    "stream": _Row("Play a motion on the robot or simulator on DDS."),
+    "sim": _Row("Simulate a G1 on DDS: a MuJoCo bridge on the robot's topics."),
+    "record": _Row("Record the DDS topics into a session file (MCAP)."),
+    "convert": _Row("Convert a motion into MCAP, CSV or NPZ, a session into a ROS 2 bag."),
+    "library": _Row("Check many motions, or simulate rollouts of them.", "library"),
+    "info": _Row("Print a session's contents and its tracking error."),
+    "attach": _Row("Find where in a recording of another program a motion was played.", "attach"),
+    "report": _Row("Write an HTML page about sessions: tables, figures, events.", "report"),
+    "plot": _Row("Plot joints of a session: PNG, SVG or PDF."),
+    "compare": _Row("Compare sessions of the same motion: improvements and regressions.", "report"),
+    "simulate": _Row("Simulate a session's commands, and compare with the measured robot.", "fit"),
+    "fit": _Row("Identify friction, armature, delay and masses from sessions.", "fit"),
+    "render": _Row("Make a video of a session: the robot, and its reference as a ghost.", "video"),
+    "layout": _Row("Write a viewer layout for sessions.", "layout"),
+    "motion": _Row("Check a motion file: frames, joints, limits."),
+    "policy": _Row("Show the inputs and outputs of a learned policy.", "policy"),
+    "physics": _Row("Compute the torques and forces that a motion needs.", "physics"),
+    "robot": _Row("Show, release or restore the robot's own controller.", "onboard"),
+    "doctor": _Row("Diagnose the DDS connection to the robot and this machine's timing."),
 }
 """The commands. To add one, add a row."""
 
@@ -236,7 +193,7 @@ def _error_text(error: G1StreamError) -> str:
 
 def _run(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        lines = [f"  {name:<10} {purpose}" for name, (_, purpose) in COMMANDS.items()]
+        lines = [f"  {name:<10} {row.purpose}" for name, row in COMMANDS.items()]
         print(_HELP.format(commands="\n".join(lines)), end="")
         return 0
     name, *rest = arguments
@@ -260,20 +217,15 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def load_command(name: str) -> type[Command]:
-    """The class of a command.
+    """The class of a command: `Record` of cli/record.py, `Compare` of extras/report/compare_cli.py.
 
     Raises:
         ConfigError: the command's extra is not installed.
     """
-    module, _, kind = COMMANDS[name].home.partition(":")
-    try:
-        command: type[Command] = getattr(import_module(f"g1stream.{module}"), kind)
-    except ModuleNotFoundError as error:
-        if not module.startswith("extras."):
-            raise
-        extra = module.split(".")[1]
-        raise ConfigError(
-            f"g1stream {name} needs {error.name}, which is not installed.",
-            f"Install the extra: pip install 'g1stream[{extra}]'.",
-        ) from error
+    from g1stream.optional import load_object
+
+    extra = COMMANDS[name].extra
+    module = f"extras.{extra}.{name}_cli" if extra else f"cli.{name}"
+    where = f"g1stream.{module}:{name.capitalize()}"
+    command: type[Command] = load_object(where, f"g1stream {name} needs")
     return command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
     from g1stream.motion.readers import Evidence
 
-__all__ = ["Inspect", "render"]
+__all__ = ["Motion", "render"]
 
 #: Feet within this height of 0 stand on the floor, m: compliance of soles and floors.
 _ON_FLOOR = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(SettingsCommand, MotionPartFlags):
+class Motion(SettingsCommand, MotionPartFlags):
     """Prints a motion file's contents, the speeds that it needs, and every limit that it exceeds.
 
     `stream` makes the same check. Warnings do not change the exit code. It is a warning if the
@@ -71,7 +71,8 @@ class Inspect(SettingsCommand, MotionPartFlags):
         if robot.warning:
             print_warning(robot.warning)
         if self.json:
-            print_json(_as_dict(report, evidence))
+            more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
+            print_json({**asdict(report), **more, "file": evidence and asdict(evidence)})
         else:
             max_tilt = config.safety.tilt_limit("free")
             if is_quiet():
@@ -83,20 +84,8 @@ class Inspect(SettingsCommand, MotionPartFlags):
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 
-def _as_dict(report: MotionReport, evidence: Evidence | None) -> dict[str, Any]:
-    """The motion's values, with the file's under the key `file`."""
-    more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
-    return {**asdict(report), **more, "file": evidence and asdict(evidence)}
-
-
 def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> str:
-    """The report as text.
-
-    Args:
-        report: the check of the motion.
-        evidence: the contents of its file; None for joined motions.
-        max_tilt: pelvis tilt that ends a run, rad.
-    """
+    """The report as text, with the evidence of one file; a tilt of `max_tilt`, rad, ends a run."""
     lines = [report.name]
     if report.suspicion:  # first, because it explains the figures below
         lines.append(_line("problem", f"It looks as if {report.suspicion}."))

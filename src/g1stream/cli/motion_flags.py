@@ -84,13 +84,7 @@ class MotionFlags(Command):
         return find_motion(motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
-        """Apply the flags to loaded motions, and join them.
-
-        Raises:
-            ConfigError: a flag does not fit.
-            MotionError: the requested change is not possible.
-            RobotError: --on-floor needs the robot's soles, and they are unknown.
-        """
+        """Apply the flags to loaded motions, and join them; see `load`."""
         parts = [self._part(motion, robot) for motion in motions]
         joined = reduce(lambda one, other: one.then(other, self.blend), parts)
         if self.repeat != 1:
@@ -115,16 +109,9 @@ class MotionPartFlags(MotionFlags):
     )
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
-        """Apply the flags to loaded motions, join them, and cut the part from the result.
-
-        Raises:
-            ConfigError: a flag does not fit.
-            MotionError: the requested change is not possible.
-            RobotError: --on-floor needs the robot's soles, and they are unknown.
-        """
+        """Apply the flags to loaded motions, join them, and cut the part from the result."""
         motion = super().join(motions, robot)
         if not self.start and self.duration is None:
             return motion
-        return motion.trim(
-            self.start, None if self.duration is None else self.start + self.duration
-        )
+        end = None if self.duration is None else self.start + self.duration
+        return motion.trim(self.start, end)

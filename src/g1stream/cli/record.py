@@ -57,11 +57,9 @@ class Record(LiveCommand):
             announce_wire(config, commands=False)
             print_note(f"Recording {self.out}. Ctrl-C ends it.")
 
-        with ExitStack() as stack:
-            # Ctrl-C ends a server that does not start.
-            stack.enter_context(self.serving(config))
-            stack.enter_context(on_signals(stopped.append))
-            stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
+        log = handled_by(ConsoleHandler(logging.WARNING))
+        # Ctrl-C ends a server that does not start.
+        with self.serving(config), on_signals(stopped.append), log, ExitStack() as stack:
 
             def on_recorder(recorder: Recorder) -> None:
                 lower_priority()  # not that of the receiver, which is already running

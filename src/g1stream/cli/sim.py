@@ -62,10 +62,9 @@ class Sim(LiveCommand):
             support = _SUPPORT[config.sim.held_by]
             print_note(f"Simulating a G1, {support}. Ctrl-C ends it.")
 
-        with ExitStack() as stack:
-            stack.enter_context(self.serving(config))  # Ctrl-C also ends a server that is starting
-            stack.enter_context(on_signals(stopped.append))
-            stack.enter_context(handled_by(ConsoleHandler()))
+        log = handled_by(ConsoleHandler())
+        # Ctrl-C also ends a server that is starting.
+        with self.serving(config), on_signals(stopped.append), log, ExitStack() as stack:
 
             def on_report(report: SimReport) -> None:
                 stack.enter_context(ProgressDisplay(lambda: sim_status(report)))

@@ -21,7 +21,7 @@ from g1stream.doctor.facts import (
 )
 from g1stream.network import InterfaceFlags
 from g1stream.robot.joints import JointSet
-from g1stream.text import counted
+from g1stream.text import counted, listed
 
 if TYPE_CHECKING:
     from g1stream.dds.local_participants import LocalParticipant
@@ -235,9 +235,7 @@ def _others(wire: WireFacts) -> int:
 
 def _programs(local: Iterable[LocalParticipant]) -> str:
     """Names of the first programs, with their domains."""
-    named = [f"{one} in domain {one.domain}" for one in local]
-    more = f" and {len(named) - _MOST_PROGRAMS} more" if len(named) > _MOST_PROGRAMS else ""
-    return (", ".join(named[:_MOST_PROGRAMS]) or "none") + more
+    return listed([f"{one} in domain {one.domain}" for one in local] or ["none"], _MOST_PROGRAMS)
 
 
 def _silence(wire: WireFacts) -> list[Finding]:

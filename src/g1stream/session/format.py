@@ -149,7 +149,8 @@ def _foxglove(
     return Channel(topic, name, "protobuf", "protobuf", description, build, latched=latched)
 
 
-def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
+def _dds(dds_topic: str, name: str, description: str) -> Channel:
+    topic = f"/{dds_topic.rpartition('/')[2]}"
     build = partial(_ros2_schema, dds_topic)
     return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
 
@@ -259,29 +260,18 @@ _ALL: Final = (
     _foxglove("/measured/path", SceneUpdate, "path of the measured pelvis in the last seconds"),
     _description("/robot_description", "the robot's URDF"),
     _description("/measured/robot_description", "a URDF with the frames of the measured robot"),
-    _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
-    _dds("/arm_sdk", "rt/arm_sdk", "unitree_hg/msg/LowCmd", "targets for arms and waist"),
-    _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),
-    _dds(
-        "/sportmodestate",
-        "rt/sportmodestate",
-        "unitree_go/msg/SportModeState",
-        "base from the simulator",
-    ),
-    _dds(
-        "/odommodestate",
-        "rt/odommodestate",
-        "unitree_go/msg/SportModeState",
-        "base as the robot estimates it",
-    ),
+    _dds("rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
+    _dds("rt/arm_sdk", "unitree_hg/msg/LowCmd", "targets for arms and waist"),
+    _dds("rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),
+    _dds("rt/sportmodestate", "unitree_go/msg/SportModeState", "base from the simulator"),
+    _dds("rt/odommodestate", "unitree_go/msg/SportModeState", "base as the robot estimates it"),
     replace(
-        _dds("/policy", "rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
+        _dds("rt/g1stream/policy", "g1stream/msg/Policy", "steps of a learned policy"),
         grown=(4276, 4160, 4096),  # in 0.1 it had room for 1024 observed values
     ),
     _policy("/policy/terms", "/policy by the names of terms and joints, with delays in ms"),
-    _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
+    _dds("rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
     _dds(
-        "/reference",
         "rt/g1stream/reference",
         "g1stream/msg/Reference",
         "target of the motion, with the publish time of its LowCmd",
@@ -302,13 +292,9 @@ def encode_string(text: str) -> bytes:
 
 
 def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
-    """Encode a foxglove.Log.
+    """Encode what a program logs as a foxglove.Log; the time in ns since the epoch.
 
-    Args:
-        time_ns: time of the event, ns since the epoch.
-        level: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
-        name: name of the program that logs it.
-        text: the message.
+    The level is 1 debug, 2 info, 3 warning, 4 error or 5 fatal.
     """
     message = Log(level=cast("Log.Level.ValueType", level), name=name, message=text)
     message.timestamp.FromNanoseconds(time_ns)

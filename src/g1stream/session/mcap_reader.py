@@ -235,8 +235,7 @@ def _counts(chunks: Iterable[_Chunk]) -> Counter[int]:
     """Number of messages in some chunks by channel."""
     counts: Counter[int] = Counter()
     for chunk in chunks:
-        for channel, n_messages in chunk.counts.items():
-            counts[channel] += n_messages
+        counts.update(chunk.counts)  # which adds
     return counts
 
 
@@ -289,14 +288,13 @@ def _records_of(
             raise ValueError("a chunk contains an incomplete record")
         if opcode != message:
             further.append((opcode, data[start + head : end]))
-        elif not found and not (size - start) % (end - start):
-            # Samples of DDS have equal sizes, so they may be all alike.
-            starts = np.arange(start, size, end - start)
-            heads = np.ndarray((len(starts), head + 2), np.uint8, data, start, (end - start, 1))
-            if (heads == heads[0]).all():
-                return {channel: starts}, further
-            found[channel].append(start)
         else:
+            if not found and not (size - start) % (end - start):
+                # Samples of DDS have equal sizes, so they may be all alike.
+                starts = np.arange(start, size, end - start)
+                heads = np.ndarray((len(starts), head + 2), np.uint8, data, start, (end - start, 1))
+                if (heads == heads[0]).all():
+                    return {channel: starts}, further
             found[channel].append(start)
         start = end
     return {channel: np.array(starts, np.int64) for channel, starts in found.items()}, further
@@ -426,9 +424,7 @@ class McapFile:
     def batches(self, topics: set[str], first_chunk: int = 0) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, in batches of one topic; those of a topic are in order.
 
-        Args:
-            topics: names.
-            first_chunk: earlier ones are left out; see `place_of`.
+        Chunks before `first_chunk` are left out; see `place_of`.
 
         Raises:
             RecordingError: a chunk is damaged.

@@ -48,11 +48,7 @@ def max_size(batch: MessageBatch) -> int:
 
 
 class OutputFile:
-    """An unbuffered file to which only whole pieces are written.
-
-    Args:
-        path: path of the file, which must not exist.
-    """
+    """An unbuffered new file to which only whole pieces are written."""
 
     def __init__(self, path: Path) -> None:
         self._file: Any = path.open("xb", buffering=0)
@@ -110,10 +106,7 @@ class OutputFile:
 class _ChunkIndexes:
     """The index of the chunks so far, on disk, because in memory it would grow by 150 MB an hour.
 
-    It replaces the list in the library's writer.
-
-    Args:
-        directory: directory on a disk with enough space. The file has no name in it.
+    It replaces the list in the library's writer. The file has no name in its directory.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -145,13 +138,12 @@ class McapWriter:
     Attributes:
         path: path of the file for error messages.
         place: current path of the file.
-        first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
+        log_times: of the first and the last message, ns since the epoch; None before the first.
     """
 
     def __init__(self, path: Path, channels: Mapping[str, Channel]) -> None:
         self.path = self.place = path
-        self.first_log_time: int | None = None
-        self.last_log_time: int | None = None
+        self.log_times: tuple[int, int] | tuple[None, None] = (None, None)
         self._channels = channels
         self._channel_ids: dict[str, int] = {}
         self._schema_ids: dict[tuple[str, bytes], int] = {}
@@ -181,12 +173,9 @@ class McapWriter:
             raise
 
     def write_chunk(self, batches: Sequence[MessageBatch], sequence: int, *, last: bool) -> None:
-        """Write messages of one topic as a chunk: all of them or none.
+        """Write messages of one topic as a chunk, numbered from `sequence` on: all or none.
 
-        Args:
-            batches: the messages.
-            sequence: sequence number of the first message.
-            last: whether this may use the space that is reserved for the end of a file.
+        With `last` they may use the space that is reserved for the end of a file.
         """
         with output_errors(self.path):
             if not self._file.is_at(self.place):
@@ -204,12 +193,9 @@ class McapWriter:
                     number += 1
             self._mcap.flush()
         self._n_chunks += 1
-        for batch in batches:
-            first, final = int(batch.log_times.min()), int(batch.log_times.max())
-            if self.first_log_time is None or self.last_log_time is None:
-                self.first_log_time, self.last_log_time = first, final
-            self.first_log_time = min(first, self.first_log_time)
-            self.last_log_time = max(final, self.last_log_time)
+        ends = [end for one in batches for end in (one.log_times.min(), one.log_times.max())]
+        ends += [end for end in self.log_times if end is not None]
+        self.log_times = int(min(ends)), int(max(ends))
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Attach a file; see `SessionWriter.attach`."""

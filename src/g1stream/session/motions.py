@@ -88,16 +88,7 @@ class _PlayedMotion(NamedTuple):
 
 
 def motion_of(session: Recording, fps: float | None = None) -> Motion:
-    """The played motion from the reference, or the motion from which `convert` made the file.
-
-    Args:
-        session: a recording.
-        fps: frame rate of the result; the rate of the reference if None.
-
-    Raises:
-        RecordingError: there is no motion in this session.
-        MotionError: `fps` is not a frame rate, or leaves fewer than two frames.
-    """
+    """The motion of a recording; see `Session.motion`."""
     if session.converted:
         converted: MotionReader = extension("read_recording")(MotionFile(session.path, fps))
         return converted.motion()

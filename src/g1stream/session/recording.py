@@ -101,9 +101,6 @@ def has_essentials(topics: Mapping[str, int]) -> bool:
 def open_recording(path: str | os.PathLike[str]) -> Recording:
     """Open a session file, also one whose recorder was killed, without analysis.
 
-    Args:
-        path: of a session file.
-
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
     """
@@ -210,21 +207,15 @@ class Recording:
     @cached_property
     def policy_info(self) -> PolicyInfo | None:
         """The policy that played, with its inputs and outputs; None if they are unknown."""
-        info, _ = read_record(PolicyInfo, self.metadata.get("policy"), "policy")
-        return info
+        return read_record(PolicyInfo, self.metadata.get("policy"))[0]
 
     @cached_property
     def attached(self) -> AttachedInfo | None:
         """How the reference was found, if it was attached afterwards; otherwise None."""
-        info, _ = read_record(AttachedInfo, self.metadata.get("attached"), "attached")
-        return info
+        return read_record(AttachedInfo, self.metadata.get("attached"))[0]
 
     def stream(self, kind: type[StreamT]) -> StreamT:
-        """The samples of a DDS topic.
-
-        Args:
-            kind: one of the values of `STREAMS`.
-        """
+        """The samples of a DDS topic, by one of the values of `STREAMS`."""
         if kind not in self._streams:
             if self._whole is not None:
                 whole = self._whole.stream(kind)

@@ -103,11 +103,8 @@ def read_record(
     except ValidationError as error:
         wrong = list(dict.fromkeys(one["loc"][0] for one in error.errors()))
     record, more = read_record(kind, {k: v for k, v in values.items() if k not in wrong}, where)
-    keys = [f"{where}.{name}" if where else name for name in wrong]
-    problems = [
-        f"The metadata {k} is not valid: {values[w]!r:.60}."
-        for k, w in zip(keys, wrong, strict=True)
-    ]
+    table = f"{where}." if where else ""
+    problems = [f"The metadata {table}{k} is not valid: {values[k]!r:.60}." for k in wrong]
     return record, problems + more
 
 
@@ -366,15 +363,9 @@ class SessionInfo(Record):
         played: NDArray[np.bool_],
         policy: PolicyInfo | None = None,
     ) -> SessionInfo:
-        """Describe a motion that is about to be played.
+        """Describe a motion that is about to be played by the joints `played` (29,).
 
-        Args:
-            config: all settings.
-            robot: robot that plays it.
-            motion: the motion.
-            gains: arrays (29,) by the names in `Gains`.
-            played: (29,) joints that play it.
-            policy: policy that plays it.
+        `gains` has arrays (29,) by the names in `Gains`.
         """
         params = ParametersInfo.from_robot(robot)
         told: dict[str, Any] = {"policy": policy} if policy else {}

@@ -11,6 +11,7 @@ lockstep gives a session without a file:
 
 from __future__ import annotations
 
+import os
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -59,11 +60,7 @@ def files_of(path: Path) -> list[Path]:
     Raises:
         RecordingError: the directory has no metadata.yaml, or it cannot be read.
     """
-    try:
-        is_directory = path.is_dir()
-    except OSError:  # opening the file gives the reason
-        is_directory = False
-    if not is_directory:
+    if not os.path.isdir(path):  # noqa: PTH112  # which does not raise: opening the file does
         return [path]
     import yaml
 
@@ -328,12 +325,9 @@ class MemorySource(SessionSource):
 
 
 class ExtendedSource(SessionSource):
-    """A session with messages, metadata and attachments added to it.
+    """A session with topics that it does not have added to it, and metadata and attachments.
 
-    Args:
-        source: the session.
-        added: topics that the session does not have. Its metadata and attachments replace those
-            with the same name.
+    Added metadata and attachments replace those with the same name.
     """
 
     def __init__(self, source: SessionSource, added: MemorySource) -> None:

@@ -334,13 +334,7 @@ class ReferenceStream(Stream):
 
     @property
     def phases(self) -> list[PhaseInterval]:
-        """The phases in order, s on the motion's clock.
-
-        Each lasts until the next one begins, the last until the last sample.
-
-        Raises:
-            RecordingError: a number stands for no phase.
-        """
+        """The phases in order; see `Recording.phases`."""
         numbers, times = self.read("phase").phase, self.time
         if not len(times):
             return []
@@ -602,9 +596,6 @@ class Warnings:
     """The warnings and errors of a log, without those of the guard.
 
     Messages that differ only in their numbers are counted once; the last one is shown.
-
-    Args:
-        events: in the order of the log.
     """
 
     def __init__(self, events: Iterable[LogEvent] = ()) -> None:
@@ -613,7 +604,7 @@ class Warnings:
         self.add(events)
 
     def add(self, events: Iterable[LogEvent]) -> None:
-        """Add the next events of the log."""
+        """Add the next events of the log, in its order."""
         for event in events:
             if event.is_serious:
                 kind = re.sub(r"\d+", "#", f"{event.name}: {event.text}")
@@ -623,11 +614,8 @@ class Warnings:
     def texts(self, last_command: int) -> list[str]:
         """The messages, in the order in which each first appeared.
 
-        After the last command, a warning that commands have stopped is left out: their program has
-        ended.
-
-        Args:
-            last_command: when that was received, ns since the epoch; 0 if there was none.
+        After the last command, at `last_command` ns since the epoch or 0 if there was none, a
+        warning that commands have stopped is left out: their program has ended.
         """
         texts = []
         for kind, event in self._last.items():

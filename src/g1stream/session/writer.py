@@ -23,13 +23,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from g1stream.config import Config
     from g1stream.dds.messages import Batch
+    from g1stream.robot.model import G1
     from g1stream.session.format import Channel
     from g1stream.session.mcap_reader import Messages
-    from g1stream.session.records import MotionInfo, PolicyInfo
+    from g1stream.session.records import MotionInfo, SessionInfo
     from g1stream.session.source import MemorySource
 
-__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_policy"]
+__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion", "attach_run"]
 
 LARGEST_MOTION: Final = 16 * 2**20
 """A larger motion file is not attached, bytes. Its SHA-256 is always in the metadata."""
@@ -92,8 +94,8 @@ class SessionWriter:
         return not self._replaces
 
     @property
-    def log_times(self) -> tuple[int | None, int | None]:
-        return self._file.first_log_time, self._file.last_log_time
+    def log_times(self) -> tuple[int, int] | tuple[None, None]:
+        return self._file.log_times
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -102,13 +104,9 @@ class SessionWriter:
         self.close()
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Add one message. Its sequence number counts the topic's messages from 1.
+        """Add one message; times in ns since the epoch.
 
-        Args:
-            topic: topic of one of the channels.
-            data: the message in the encoding of its channel.
-            log_time: receive time, ns since the epoch.
-            publish_time: ns since the epoch.
+        Its sequence number counts the topic's messages from 1.
         """
         self.write_batch(topic, (data,), (log_time,), (publish_time,))
 
@@ -145,21 +143,11 @@ class SessionWriter:
             self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Attach a file, such as the URDF.
-
-        Args:
-            name: name of the attachment, such as `g1.urdf`.
-            media_type: such as `text/csv`.
-            data: its content.
-            time_ns: its time, ns since the epoch.
-        """
+        """Attach a file of a media type such as `text/csv`; its time in ns since the epoch."""
         self._file.attach(name, media_type, data, time_ns)
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
-        """Add to the session's metadata. A later value of a key replaces an earlier one.
-
-        Args:
-            values: JSON values, and numpy arrays.
+        """Add JSON values and numpy arrays to the metadata; a later value replaces an earlier one.
 
         Raises:
             TypeError: a value is neither.
@@ -173,13 +161,9 @@ class SessionWriter:
         time_ns: int,
         batches: Iterable[tuple[str, Batch | Messages]],
     ) -> None:
-        """Write what another session has: messages, by topic, are written as they are read.
+        """Write what another session has: its messages, by topic, are written as they are read.
 
-        Args:
-            metadata: metadata of the session.
-            attachments: its attached files by name.
-            time_ns: time of the attachments, ns since the epoch.
-            batches: its messages, or others in their place.
+        `time_ns` is the time of the attachments, ns since the epoch.
         """
         self.add_metadata(metadata)
         for name, data in attachments.items():
@@ -188,19 +172,14 @@ class SessionWriter:
             self.write_batch(topic, batch.data, batch.log_times, batch.publish_times)
 
     def flush_if_due(self, now_ns: int) -> None:
-        """Write the chunks that are due.
-
-        Args:
-            now_ns: current time on the clock of the log times, ns since the epoch.
-        """
+        """Write the chunks that are due at a log time, ns since the epoch."""
         if self._is_due(now_ns):
             self.flush()
 
     def flush(self, *, last: bool = False) -> None:
         """Write the buffered messages. Those that do not fit on the disk are dropped.
 
-        Args:
-            last: whether this may use the space that is reserved for the end of the file.
+        With `last` they may use the space that is reserved for the end of the file.
         """
         pending, self._pending = self._pending, {}
         self._pending_bytes, self._chunk_start = 0, None
@@ -214,7 +193,10 @@ class SessionWriter:
             for topic, dropped in waiting.items():
                 self.counts[topic] -= dropped
         if self._replaces and any(self._channels[topic].dds_topic for topic in pending):
-            self._replace()
+            with output_errors(self.path):
+                self._place.replace(self.path)
+            self._place, self._replaces = self.path, False
+            self._file.place = self.path
 
     def close(self) -> None:
         """Write the buffered messages and the index, and close the file. It may be called again.
@@ -232,29 +214,23 @@ class SessionWriter:
             if self._replaces:
                 self._place.unlink(missing_ok=True)
 
-    def _replace(self) -> None:
-        with output_errors(self.path):
-            self._place.replace(self.path)
-        self._place, self._replaces = self.path, False
-        self._file.place = self.path
-
     def _is_due(self, now_ns: int) -> bool:
         # The absolute difference, because a clock may be set back.
         return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= _CHUNK_NS
 
 
-def attach_policy(
-    writer: SessionWriter | MemorySource, policy: PolicyInfo | None, time_ns: int
+def attach_run(
+    writer: SessionWriter | MemorySource, robot: G1, config: Config, info: SessionInfo, time_ns: int
 ) -> None:
-    """Attach the policy's contract as policy.json, if there is a policy.
+    """Attach the URDF, the settings, a policy's contract, and the files of the motion.
 
-    Args:
-        writer: writer of the session.
-        policy: the policy that plays; None without a policy.
-        time_ns: the attachment's time, ns since the epoch.
+    `time_ns` is the time of the attachments, ns since the epoch.
     """
-    if policy:
-        writer.attach("policy.json", "application/json", policy.model_dump_json().encode(), time_ns)
+    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), time_ns)
+    for name, values in (("config.json", config), ("policy.json", info.policy)):
+        if values:
+            writer.attach(name, "application/json", values.model_dump_json().encode(), time_ns)
+    attach_motion(writer, info.motion, time_ns)
 
 
 def attach_motion(
@@ -264,11 +240,7 @@ def attach_motion(
 
     If a session is played or converted again, the messages contain everything. Of files with the
     same name, the second is attached as `walk-2.csv`; the hashes in `motion` identify them.
-
-    Args:
-        writer: writer of the session.
-        motion: the motion that is played; None if unknown.
-        time_ns: the attachment's time, ns since the epoch.
+    `time_ns` is their time, ns since the epoch.
     """
     origins = [motion, *motion.parts] if motion else []
     n_alike: Counter[str] = Counter()

@@ -132,12 +132,7 @@ class TransformsEncoder:
 
 
 def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str]]:
-    """Frame names of a robot's links: the parent frames, and the frames.
-
-    Args:
-        robot: the robot.
-        prefix: prefix of link names.
-        world: name of the parent of the root link's frame.
+    """Names of the links' parent frames, of which the root's is `world`, and of their frames.
 
     Raises:
         ConfigError: the frame of a link has the name of the world frame.
@@ -256,8 +251,7 @@ def _double_placeholder_bytes(index: int) -> bytes:
 
 
 def _double_placeholder(index: int) -> float:
-    (placeholder,) = struct.unpack("<d", _double_placeholder_bytes(index))
-    return float(placeholder)
+    return float(struct.unpack("<d", _double_placeholder_bytes(index))[0])
 
 
 def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:

@@ -86,9 +86,7 @@ class MeasuredBase:
     def poses(self, times: Ints, imu_quats_wxyz: Floats) -> tuple[Floats, Floats]:
         """Positions (T, 3) m and attitudes (T, 4) wxyz of the pelvis in the world.
 
-        Args:
-            times: (T,) publish times of the states that were added last, ns.
-            imu_quats_wxyz: (T, 4) attitudes from the IMU.
+        They are those of the last added states, by publish times (T,) ns and quaternions (T, 4).
         """
         positions = self._positions_at(times)
         if self.source == "sportmodestate" and self._start is not None:

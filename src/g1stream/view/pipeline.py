@@ -102,8 +102,7 @@ class MessagePipeline:
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """Messages at the start of a file: scenes of the robots, and the measured robot's URDF.
 
-        Args:
-            time_ns: log and publish time, ns since the epoch.
+        `time_ns` is their log and publish time, ns since the epoch.
 
         Raises:
             RobotError: the URDF has a shape that cannot be read.
@@ -123,10 +122,7 @@ class MessagePipeline:
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
 
     def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
-        """Make the messages of one round of batches.
-
-        Args:
-            batches: batches by DDS topic name, each oldest first and not empty.
+        """Make the messages of one round of batches by DDS topic, oldest first and not empty.
 
         Raises:
             ValueError: a sample is not of its topic's type.
@@ -190,11 +186,7 @@ def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_E
 
 
 class Decimator:
-    """Reduces a stream to a rate by keeping the first message of each period.
-
-    Args:
-        rate: rate to keep, Hz; a slower stream is unchanged.
-    """
+    """Keeps the first message of each period of a rate, Hz; a slower stream is unchanged."""
 
     def __init__(self, rate: float) -> None:
         self._period = round(1e9 / rate)
@@ -307,6 +299,7 @@ class _Errors:
     def __init__(self, joint_names: Sequence[str], rate: float, *, every: bool) -> None:
         self._few = Decimator(rate)
         self._error = TrackingError(len(joint_names))
+        self._played = np.ones(len(joint_names), dtype=bool)
         self._joints = _JointStates(
             "/tracking_error/joint_states", joint_names, ERROR_FIELDS, every=every
         )
@@ -316,8 +309,9 @@ class _Errors:
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
         if found := samples.get(REFERENCE.name):
-            track = Track(found.published, found.logged, found["q"], found["dq"])
-            self._error.add_references(track, found.played)
+            self._played = found.played
+            q, dq = found["q"], found["dq"]
+            self._error.add_references(Track(found.published, found.logged, q, dq))
         if found := samples.get(LOWSTATE.name):
             q, dq = found["motor_state.q"], found["motor_state.dq"]
             one_clock = have_one_clock(int((found.logged - found.published).min()))
@@ -326,7 +320,7 @@ class _Errors:
         errors = self._error.take()
         times, logged = errors.publish_times, errors.log_times
         few = self._few.pick(times)
-        limbs = (_by_limb(one, self._error.played) for one in (errors.q, errors.dq))
+        limbs = (_by_limb(one, self._played) for one in (errors.q, errors.dq))
         return [
             self._joints.encode(times, logged, few, errors.q, errors.dq),
             self._limbs.encode(times, logged, few, *limbs),
@@ -379,23 +373,14 @@ class TrackingError:
 
     An error is known after the next reference has arrived. Its log time is the latest reception
     time of its samples.
-
-    Args:
-        n_joints: number of joints.
-
-    Attributes:
-        played: (n_joints,) joints that play the motion, from the last references.
     """
 
     def __init__(self, n_joints: int) -> None:
         times, joints = np.empty(0, dtype=np.int64), np.empty((0, n_joints))
         self._references = self._states = Track(times, times, joints, joints)
-        self.played = np.ones(n_joints, dtype=bool)
 
-    def add_references(self, references: Track, played: NDArray[np.bool_] | None = None) -> None:
-        """Add references, and the joints (n_joints,) that play them; None: unchanged."""
-        if played is not None:
-            self.played = played
+    def add_references(self, references: Track) -> None:
+        """Add references."""
         together = self._references.then(references)
         # References of two writers may be interleaved.
         self._references = together.where(np.argsort(together.publish_times, kind="stable"))

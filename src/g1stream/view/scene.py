@@ -98,10 +98,7 @@ def _add_primitive(entity: SceneEntity, visual: Visual, *, ghost: bool) -> Any:
 class PathEncoder:
     """Draws the path of a frame in the last seconds, as foxglove.SceneUpdate with one line.
 
-    Args:
-        entity_id: entity id of the line.
-        seconds: duration of the path, s.
-        color: red, green, blue and opacity, 0 to 1.
+    Its colour is red, green, blue and opacity, 0 to 1.
     """
 
     def __init__(self, entity_id: str, seconds: float, color: Rgba) -> None:
@@ -110,12 +107,9 @@ class PathEncoder:
         self._points: Floats = np.empty((0, 3))
 
     def encode(self, times: Ints, points: Floats, instants: Ints) -> list[bytes]:
-        """Add points, and draw the line at some of their times.
+        """Add points (T, 3) m, world, at times (T,) ns since the epoch.
 
-        Args:
-            times: (T,) ns since the epoch.
-            points: (T, 3) m, world.
-            instants: (K,) the times at which a line is drawn.
+        A line is drawn at each of some of these times, (K,).
         """
         self._times = np.append(self._times, times)
         self._points = np.concatenate([self._points, points])

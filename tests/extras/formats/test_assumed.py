@@ -4,14 +4,14 @@ import pytest
 from g1stream.cli.convert import Convert
 from g1stream.cli.demo import Demo
 from g1stream.cli.flags import parse_flags
-from g1stream.cli.motion import Inspect
+from g1stream.cli.motion import Motion
 from g1stream.cli.stream import Stream
 from g1stream.motion.readers import load_motion
 
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [(Stream, ["a.csv"]), (Inspect, ["a.csv"]), (Convert, ["a.csv", "b.npz"]), (Demo, [])],
+    [(Stream, ["a.csv"]), (Motion, ["a.csv"]), (Convert, ["a.csv", "b.npz"]), (Demo, [])],
 )
 def test_what_a_file_does_not_say_is_told_before_it_is_played(kind, given, tmp_path):
     path = tmp_path / "bare.csv"

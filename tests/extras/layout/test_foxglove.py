@@ -7,9 +7,9 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 import g1stream
-from g1stream.analysis.tracking import worst_joints
 from g1stream.config import Config
 from g1stream.extras.layout.foxglove import DEFAULT_JOINTS, foxglove_layout
+from g1stream.extras.layout.layout_cli import worst_joints
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.model import G1
 

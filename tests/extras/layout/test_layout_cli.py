@@ -32,7 +32,7 @@ def test_the_torque_limits_are_those_of_the_sessions_robot(tmp_path, monkeypatch
     config = Config.model_validate({"robot": "g1_29dof"})
     session = rollout("demo", seconds=0.2, config=config, feedforward="none")
     path = session.save(tmp_path / "session.mcap")
-    monkeypatch.setattr("g1stream.analysis.tracking.worst_joints", lambda *_: (ANKLE,))
+    monkeypatch.setattr("g1stream.extras.layout.layout_cli.worst_joints", lambda *_: (ANKLE,))
     assert run("layout", "lichtblick", path, "-o", tmp_path).code == 0
     layout = json.loads((tmp_path / "g1stream-lichtblick.json").read_text())
     drawn = [one["value"] for one in layout["configById"][f"Plot!{ANKLE}-torque"]["paths"]]

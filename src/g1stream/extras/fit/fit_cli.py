@@ -13,7 +13,7 @@ from g1stream.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitParameters(SettingsCommand):
+class Fit(SettingsCommand):
     """Fits the parameters of a bolted or hanging robot, and writes a file for --params.
 
     The parameters are viscous and dry friction, armature and torque scale of each joint, the delay

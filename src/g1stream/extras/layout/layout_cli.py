@@ -7,10 +7,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from g1stream.cli.command import EXIT_OK, Command, print_result
 from g1stream.cli.flags import argument, flag
+
+if TYPE_CHECKING:
+    from g1stream.session.recording import Recording
 
 #: File name of each viewer's layout, and how it is loaded.
 _VIEWERS: Final = {
@@ -51,7 +54,6 @@ class Layout(Command):
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
-        from g1stream.analysis.tracking import worst_joints
         from g1stream.errors import ConfigError
         from g1stream.extras.layout.foxglove import DEFAULT_JOINTS, foxglove_layout
         from g1stream.extras.layout.plotjuggler import plotjuggler_layout
@@ -84,3 +86,16 @@ class Layout(Command):
         text = f"{path}\n{how.format(path=quote(str(path)))}"
         print_result({"path": str(path), "joints": joints}, text, as_json=self.json)
         return EXIT_OK
+
+
+def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
+    """The played joints with the largest RMSE, largest first; empty if nothing was compared."""
+    from g1stream.analysis.tracking import NothingToCompareError, tracking
+    from g1stream.robot.joints import JOINT_NAMES
+
+    try:
+        found = tracking(session)
+    except NothingToCompareError:
+        return ()
+    worst = sorted(found.joints, key=lambda joint: -found.rmse[joint])
+    return tuple(JOINT_NAMES[joint] for joint in worst[:most])

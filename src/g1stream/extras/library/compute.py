@@ -355,8 +355,7 @@ def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
 
     row, config = rows.motion, case.config
     if not case.sessions:  # the session is not kept
-        record = config.record.model_copy(update={"channels": "raw"})
-        config = config.model_copy(update={"record": record})
+        config = config.changed(record={"channels": "raw"})
     session = rollout(motion, support=case.support, config=config)
     metrics, summary = session.metrics(), session.summary()
     success, row.ended = metrics.success, summary.termination.reason or None

@@ -115,11 +115,13 @@ def _require_keys() -> None:
     """Refuse to wait for a key that cannot be read."""
     try:
         ours = not os.isatty(0) or os.tcgetpgrp(0) == os.getpgrp()
+        ours &= not os.path.samestat(os.fstat(0), Path(os.devnull).stat())
     except OSError:
         ours = False
     if sys.stdin is None or not ours:
         raise ConfigError(
-            "Nobody can press Enter: standard input is closed, or this is a background process.",
+            "Nobody can press Enter: standard input is closed or empty, or this is a background "
+            "process.",
             "Run it in the foreground, or give a button of the remote to --wait-for.",
         )
 

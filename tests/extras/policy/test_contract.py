@@ -574,3 +574,12 @@ def test_a_network_that_never_ends_is_ended(tmp_path, monkeypatch, capsys):
         Network(path).act(np.zeros(154))
     assert main(["policy", str(path), "--motion", "demo"]) == 2
     assert "longer than 1 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("line", ['feedback = "h"', "terms = 3", "target_clip = [1.0, -1.0]"])
+def test_a_fact_of_another_form_is_named(tmp_path, line):
+    path = saved(tmp_path / "policy.onnx", [("obs", 154)], [("actions", 29)])
+    path.with_suffix(".toml").write_text(line)
+    with pytest.raises(ConfigError) as refused:
+        contract_of(path)
+    assert f", {line.partition(' ')[0]} is " in refused.value.cause

@@ -256,3 +256,10 @@ def test_the_steps_of_a_published_policy(tmp_path, capsys, factor, code):
     assert first(result) == (None if factor == 1.0 else "base_ang_vel")
     if factor == 0.5:
         assert result["terms"]["base_ang_vel"]["relation"] == "ours x 2"
+
+
+@needs_policies
+@pytest.mark.parametrize("name", ["no.npz", "."])
+def test_a_file_that_cannot_be_read_is_refused(tmp_path, name):
+    policy = str(POLICIES / "holosoma_dance1_subject2.onnx")
+    assert main(["policy", policy, "--golden", str(tmp_path / name)]) == 2

@@ -278,6 +278,8 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
         sides = [[*one] for one in zip(*limits, strict=True)]
         lows, highs = (_joint_values(one, names, "target_clip", where) for one in sides)
         arrays["target_clip"] = [[*one] for one in zip(lows, highs, strict=True)]
+        if not np.all(np.subtract(highs, lows) > 0.0):
+            raise _wrong("target_clip", limits, where, "lowest and highest target")
     refuse_implausible(arrays, names, robot, where)
     _check_pose(arrays["default_pos"], names, robot, where)
     _check_width(terms, network, where)
@@ -394,8 +396,10 @@ def _term(
     named, formula = str(given["name"]), given["formula"]
     of = [str(one) for one in as_list(given.get("of", []))]
     if unknown := [one for one in of or [named] if one not in sizes]:
+        own = of or formula == TABLE["aliases"].get(named, named)
+        told = repr(unknown[0]) if own else f"formula {formula!r}"
         raise ConfigError(
-            f"The observation of {where} has the unknown term {unknown[0]!r}.",
+            f"The observation of {where} has the unknown term {told}.",
             f"Known terms are {', '.join(sizes if of else TERMS)}.",
         )
     name, size = REPEATED if of else formula, sum(sizes[one] for one in of or [named])

@@ -24,6 +24,24 @@ __all__ = ["TABLE", "TERM_KEYS", "Facts", "as_list", "beside", "sources"]
 
 TABLE: Final = read_toml(Path(__file__).with_name("families.toml"), "table of families")
 """Lines to write for missing facts, defaults, ranges, names of terms, and the families."""
+#: Facts that are not single values: how they are written, and whether one is so.
+_FORMS: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
+    "feedback": (
+        'feedback = { h_in = "h_out" }',
+        lambda given: isinstance(given, dict) and all(isinstance(v, str) for v in given.values()),
+    ),
+    "terms": (
+        "a table [[terms]] for each term",
+        lambda given: isinstance(given, list) and all(isinstance(one, dict) for one in given),
+    ),
+    "target_clip": (
+        "target_clip = [[-1.0, 1.0]]",
+        lambda given: (
+            isinstance(given, list)
+            and all(isinstance(one, list) and len(one) == 2 for one in given)
+        ),
+    ),
+}
 TERM_KEYS: Final = ("name", "formula", "of", "scale", "clip", "history", "behind", "newest_first")
 """Keys of a term."""
 
@@ -58,10 +76,11 @@ def sources(network: Network) -> Iterator[Facts]:
     lines = " or ".join(f'family = "{name}"' for name in fitting)
     chosen = own.values.get("family", fitting[0] if len(fitting) == 1 else "")
     if chosen and chosen not in fitting:
+        known = ", ".join(name for name, one in families.items() if "sizes" in one)
         raise ConfigError(
             f"{own.where} has the family {chosen!r}, which is none of networks with {sizes[0]} "
             f"values and {sizes[1]} actions.",
-            f"Write {lines}." if lines else "Remove the line.",
+            f"Write {lines}." if lines else f"Remove the line; {known} have other sizes.",
         )
     told = {"joint_names"} & {*own.values, *published.values}
     for name, family in families.items():
@@ -94,8 +113,6 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
         limits = [one["clip"] for one in values.get("terms") or () if "clip" in one]
         for _lowest, _highest in (*limits, *(values.get("target_clip") or ())):
             pass  # each is a pair
-        if "feedback" in values:
-            values["feedback"] = {name: str(one) for name, one in values["feedback"].items()}
         return Facts(where, values)
     except G1StreamError:
         raise
@@ -109,6 +126,9 @@ def _facts(where: str, read: Callable[[], dict[str, Any]]) -> Facts:
 
 def _of_toml(path: Path) -> dict[str, Any]:
     values = read_toml(path, "policy file")
+    for key, (form, is_right) in _FORMS.items():
+        if key in values and not is_right(values[key]):
+            raise ConfigError(f"In {path}, {key} is {str(values[key])[:60]}.", f"Write {form}.")
     of_terms = {key for term in values.get("terms", []) for key in {**term}}
     keys = [*TABLE["lines"], *TABLE["optional"]]
     for what, given, valid in (("", {*values}, keys), ("a term of ", of_terms, TERM_KEYS)):

@@ -181,8 +181,9 @@ def _read(path: Path, contract: PolicyContract, network: Network) -> dict[str, N
     try:
         files = unzip(read_file(path, UNPACKED))
         found = {name.removesuffix(".npy"): read_npy(data) for name, data in files.items()}
-    except ValueError as error:
-        raise ConfigError(f"{path} cannot be read: {error}.", "Give one of numpy.savez.") from error
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{path} cannot be read: {why}.", "Give one of numpy.savez.") from error
     joints = len(contract.joint_names)
     columns = {**_STATE, "obs": network.width, "action": joints}
     if lacking := [name for name in columns if name not in found]:

@@ -22,6 +22,7 @@ from g1stream.config import Config, StreamConfig
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.extras.policy.contract import PolicyContract, Term
 from g1stream.extras.policy.families import beside
+from g1stream.extras.policy.held_motion import check_motion
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.plausibility import ORDERS
 from g1stream.motion.motion import Motion
@@ -121,8 +122,10 @@ class Rehearsal(Record, frozen=True):
             ended = ended if one.reason else "stands to the end"
             rows.append([one.contract or "as it is", f"{one.stood_s:.2f}", rmse, ended])
         lines = [labelled("rehearsal       ", text) for text in texts]
-        if self.near and not self.stands and not self.near[0].reason:
-            best = f"it stands with {self.near[0].contract}: check these facts"
+        if not self.stands:
+            best = f"none of {len(self.near)} contracts near it stands: look at the motion, too"
+            if self.near and not self.near[0].reason:
+                best = f"it stands with {self.near[0].contract}: check these facts"
             lines.append(labelled(" " * 16, best))
         return "\n".join([*lines, "", *table(rows, {0, 3})])
 
@@ -148,6 +151,7 @@ def rehearse_policy(
     Raises:
         G1StreamError: the motion cannot be played with this policy.
     """
+    check_motion(contract, network, motion)
     default, near = Config().stream.stand, []
     with TemporaryDirectory() as folder:
         copy = Path(folder) / network.path.name
@@ -203,8 +207,8 @@ def require_standing(motion: Motion, config: Config) -> None:
     if reason and settings.beyond_limits != "anyway":
         raise SafetyError(
             f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
-            "Check its inputs with `g1stream policy POLICY --motion MOTION`, or give --anyway to "
-            "stream it nevertheless.",
+            "Check its inputs with `g1stream policy POLICY --motion MOTION`, and the beginning of "
+            "the motion with `g1stream motion MOTION` (--start leaves it out); or give --anyway.",
         )
     if reason:
         _LOGGER.warning("rehearsal: %s", reason)

@@ -39,9 +39,9 @@ def checked(motions, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def many(tmp_path_factory):
-    """A directory with 40 different motions of a second."""
+    """A directory with 120 different motions of a second."""
     directory = tmp_path_factory.mktemp("many")
     demo = g1stream.load_motion("demo")
-    for i in range(40):
-        demo.trim(0.1 * i, 0.1 * i + 1.0).save(directory / f"{i:02}.npz")
+    for i in range(120):
+        demo.trim(0.1 * i, 0.1 * i + 1.0).save(directory / f"{i:03}.npz")
     return directory

@@ -142,10 +142,10 @@ def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, un
     until(lambda: not alive(), "its processes to end")
     kept = set(open_library(tmp_path).motions["key"])
     assert {row["key"] for row in printed} <= kept
-    assert len(kept) < 40
+    assert len(kept) < 120
     again = run_library([str(many)], [LibraryCase("check", tmp_path)], workers=2)
-    assert (again.complete, again.known, again.done) == (True, len(kept), 40 - len(kept))
-    assert len(open_library(tmp_path).motions) == 40
+    assert (again.complete, again.known, again.done) == (True, len(kept), 120 - len(kept))
+    assert len(open_library(tmp_path).motions) == 120
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_processes_that_are_killed_lose_nothing(many, tmp_path):
         os.kill(pid, signal.SIGKILL)
     _, errors = process.communicate(timeout=100)
     assert process.returncode == 0, errors
-    assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 40
+    assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 120
 
 
 @pytest.mark.slow

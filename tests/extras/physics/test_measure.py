@@ -281,7 +281,9 @@ def test_more_torque_than_a_motor_has():
 def test_standing_takes_the_torques_that_servos_reach_in_mujoco():
     """Still, on four spheres a foot, with stiff servos; what is left is dry friction."""
     q, root_pos = stance(0.9)
-    model = build_model(ROBOT, floating=True, driven=False, timestep=0.002, self_collision=False)
+    model = build_model(
+        ROBOT, floating=True, driven=False, timestep=0.002, self_collision=False, visual=False
+    )
     data = mujoco.MjData(model)
     order = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
     data.qpos[:7] = *root_pos, *UPRIGHT

@@ -51,7 +51,7 @@ def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
         run = g1stream.library.run_library([str(many)], [case], cluster=address, on_row=kill)
     assert len(killed) == 1
     assert (run.complete, run.failed, run.lost) == (True, 0, {})
-    assert list(g1stream.library.open_library(tmp_path).motions["status"]) == ["ok"] * 40
+    assert list(g1stream.library.open_library(tmp_path).motions["status"]) == ["ok"] * 120
 
 
 def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
@@ -122,4 +122,4 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_pa
     assert run.lost
     assert set(rows) == set(g1stream.library.open_library(tmp_path).motions["key"])
     again = g1stream.library.run_library([str(many)], [case], workers=2)
-    assert (again.complete, again.known, again.done) == (True, len(rows), 40 - len(rows))
+    assert (again.complete, again.known, again.done) == (True, len(rows), 120 - len(rows))

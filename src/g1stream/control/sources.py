@@ -7,7 +7,7 @@ rest is pure.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
@@ -39,6 +39,7 @@ __all__ = [
     "Source",
     "Status",
     "Traits",
+    "join_with_rests",
     "load_source",
 ]
 
@@ -54,10 +55,9 @@ SOURCES: Final = {
 To add one, add a row."""
 
 
-REST_BEFORE: Final = 0.1
-"""Time from the moment at which a resting motion waits to the end of its rest, s."""
-#: Length of a rest between two motions, and time of the blends before and after it, s.
-_REST, _TO_REST = 0.5, 1.0
+#: Length of a rest between two motions, time from the moment at which it waits to the end of the
+#: rest, and time of the blends before and after it, s.
+_REST, _LEFT, _TO_REST = 0.5, 0.1, 1.0
 
 
 class Moment(NamedTuple):
@@ -159,6 +159,22 @@ class Changed(NamedTuple):
     rests: tuple[float, ...] = ()
 
 
+def join_with_rests(
+    motion: Motion, following: Iterable[tuple[Motion, Motion]]
+) -> tuple[Motion, tuple[float, ...]]:
+    """Join pairs of a still pose and a motion to a motion.
+
+    Returns:
+        The motion, and the times, s, at which it rests in these poses.
+    """
+    rests = []
+    for still, then in following:
+        motion = motion.then(still, _TO_REST)
+        rests.append(motion.duration - _LEFT)
+        motion = motion.then(then, _TO_REST)
+    return motion, tuple(rests)
+
+
 class Source:
     """Adds torque to the target of each command, or replaces it; the base class changes nothing.
 
@@ -187,14 +203,11 @@ class Source:
         """
         if not self._settings.wait_for:
             return Changed(motion)
-        first, *later = Interval.from_config(self._settings, motion).cut(motion).split()
-        joined, rests = first, []
-        for other in later:
-            still = first.at_frames(np.full(round(_REST * first.fps) + 2, first.n_frames - 1))
-            joined = joined.then(replace(still, name="rest", operations=()), _TO_REST)
-            rests.append(joined.duration - REST_BEFORE)
-            joined, first = joined.then(other, _TO_REST), other
-        return Changed(joined, "", tuple(rests))
+        parts = Interval.from_config(self._settings, motion).cut(motion).split()
+        ends = (one.at_frames(np.full(round(_REST * one.fps) + 2, -1)) for one in parts[:-1])
+        stills = (replace(one, name="rest", operations=()) for one in ends)
+        joined, rests = join_with_rests(parts[0], zip(stills, parts[1:], strict=True))
+        return Changed(joined, rests=rests)
 
     def listen(self, subscribe: Callable[[Topic], Callable[[], bytes | None]]) -> None:
         """Subscribe to more than LowState, over DDS only.

@@ -309,7 +309,7 @@ def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
     )
 
 
-def _check_playable(network: Network, values: dict[str, Any], where: str) -> None:
+def _check_playable(network: Network, values: Mapping[str, Any], where: str) -> None:
     """Refuse a network that cannot be played at all, or of which nothing is known."""
     action = str(values.get("action", network.first))
     most, n_actions = len(PolicyStep().observation), network.outputs.get(action, 0)

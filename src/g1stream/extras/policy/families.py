@@ -82,16 +82,16 @@ def sources(network: Network) -> Iterator[Facts]:
             f"values and {sizes[1]} actions.",
             f"Write {lines}." if lines else f"Remove the line; {known} have other sizes.",
         )
-    told = {"joint_names"} & {*own.values, *published.values}
+    told = "joint_names" in {*own.values, *published.values}
     for name, family in families.items():
         about, file = family["about"], network.path.parent / family.get("file", "")
         if family.get("metadata") in network.metadata:
             read = partial(_of_metadata, family, network.metadata)
             yield _facts("metadata of the ONNX file", read)
-            told |= {name}
+            told = True
         elif file.is_file():
             yield _facts(str(file), partial(_of_yaml, family, file))
-            told |= {name}
+            told = True
         elif name in fitting and not (told or chosen):
             which = " or ".join(families[one]["about"] for one in fitting)
             raise ConfigError(

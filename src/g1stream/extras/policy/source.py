@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import Gains
-from g1stream.control.sources import REST_BEFORE, Changed, Mode, Source, Status, Traits
+from g1stream.control.sources import Changed, Mode, Source, Status, Traits, join_with_rests
 from g1stream.dds.messages import ODOMMODESTATE, PolicyStep
 from g1stream.errors import ConfigError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
@@ -377,12 +377,9 @@ def _with_standing(
         )
         for n in (frames, 2)
     )
-    joined, rests = standing.then(first, _BLEND), []
-    for motion in motions[1:]:
-        joined = joined.then(standing, _BLEND)
-        rests.append(joined.duration - REST_BEFORE)
-        joined = joined.then(motion, _BLEND)
-    return joined.then(moment, _BLEND), tuple(rests)
+    following = ((standing, motion) for motion in motions[1:])
+    joined, rests = join_with_rests(standing.then(first, _BLEND), following)
+    return joined.then(moment, _BLEND), rests
 
 
 def _require_multiple(contract: PolicyContract, rate: float) -> None:

@@ -359,6 +359,22 @@ def open_workers(
         with _client(distributed, cluster, warn, stop) as client:
             yield client
         return
+    # LocalCluster ends its own silence before it stops sending to workers, which are ended here.
+    silence = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
+    with silence, _own_cluster(distributed, workers) as own:
+        try:
+            with distributed.Client(own, set_as_default=False) as client:
+                yield client
+        finally:  # at once, whatever they compute
+            for nanny in own.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid:
+                    with suppress(ProcessLookupError):
+                        os.kill(nanny.pid, signal.SIGKILL)
+
+
+def _own_cluster(distributed: Any, workers: int) -> Any:
+    """Start workers on this machine; they end with the returned cluster."""
     import_extra("cryptography", "library", "Libraries need")
     dask = import_extra("dask", "library", "Libraries need")
     settings: dict[str, Any] = {
@@ -371,7 +387,7 @@ def open_workers(
     }
     try:
         with dask.config.set(settings):
-            own = distributed.LocalCluster(
+            return distributed.LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 memory_limit=0,  # that of each call holds instead
@@ -387,16 +403,6 @@ def open_workers(
             "They import the program that starts them: call run_library below "
             '`if __name__ == "__main__":`.',
         ) from error
-    with own:
-        try:
-            with distributed.Client(own, set_as_default=False) as client:
-                yield client
-        finally:  # at once, whatever they compute
-            for nanny in own.workers.values():
-                nanny.auto_restart = False
-                if nanny.pid:
-                    with suppress(ProcessLookupError):
-                        os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _require_trusted(cluster: str, *, insecure: bool) -> None:

@@ -60,6 +60,7 @@ _NS_PER_S: Final = 1_000_000_000
 _SECONDS_PLACEHOLDER: Final = 2**35 - 1
 _NANOS_PLACEHOLDER: Final = _NS_PER_S - 1
 _DOUBLE_PLACEHOLDER: Final = struct.Struct("<2sI2s")
+_DOUBLE_PATTERN: Final = rb"\xff\xfe(....)\xe0\x7f"
 
 #: Encoding of a timestamp: tags of seconds and nanoseconds, and for each varint the shifts of its
 #: five bytes and their continuation bits.
@@ -195,11 +196,11 @@ class _Template:
         data: bytes = message.SerializeToString()
         self._bytes = np.frombuffer(data, dtype=np.uint8)
         self._shape = shape
-        self._doubles = np.concatenate(
-            [_find(data, _double_placeholder_bytes(i), 1) for i in range(shape[0] * shape[1])]
-        )
+        doubles = _find(data, _DOUBLE_PATTERN, shape[0] * shape[1])
+        self._doubles = _offsets(sorted(doubles, key=lambda one: int.from_bytes(one[1], "little")))
         placeholder = np.array([_SECONDS_PLACEHOLDER]), np.array([_NANOS_PLACEHOLDER])
-        self._timestamps = _find(data, _timestamp_bytes(*placeholder).tobytes(), n_times)
+        stamp = re.escape(_timestamp_bytes(*placeholder).tobytes())
+        self._timestamps = _offsets(_find(data, stamp, n_times))
 
     def fill(self, times_ns: ArrayLike, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Make (T, size) copies of the message, each with its time and row of (T, ...) doubles."""
@@ -246,17 +247,17 @@ def _set_placeholder(timestamp: Timestamp) -> None:
     timestamp.seconds, timestamp.nanos = _SECONDS_PLACEHOLDER, _NANOS_PLACEHOLDER
 
 
-def _double_placeholder_bytes(index: int) -> bytes:
-    return _DOUBLE_PLACEHOLDER.pack(b"\xff\xfe", index, b"\xe0\x7f")
-
-
 def _double_placeholder(index: int) -> float:
-    return float(struct.unpack("<d", _double_placeholder_bytes(index))[0])
+    return float(struct.unpack("<d", _DOUBLE_PLACEHOLDER.pack(b"\xff\xfe", index, b"\xe0\x7f"))[0])
 
 
-def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:
-    """The `count` offsets of a placeholder."""
-    offsets = [match.start() for match in re.finditer(re.escape(placeholder), data)]
-    if len(offsets) != count:
-        raise ValueError(f"{len(offsets)} of {count} placeholders found in the serialised message")
-    return np.array(offsets, dtype=np.intp)
+def _find(data: bytes, pattern: bytes, count: int) -> list[re.Match[bytes]]:
+    """The `count` matches of the pattern of a placeholder."""
+    found = list(re.finditer(pattern, data, re.DOTALL))
+    if len(found) != count:
+        raise ValueError(f"{len(found)} of {count} placeholders found in the serialised message")
+    return found
+
+
+def _offsets(matches: Sequence[re.Match[bytes]]) -> NDArray[np.intp]:
+    return np.array([one.start() for one in matches], dtype=np.intp)

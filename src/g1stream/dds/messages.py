@@ -388,16 +388,14 @@ class Samples:
     def __init__(self, topic: Topic, data: Sequence[bytes] | NDArray[np.uint8]) -> None:
         self._layout = layout = Layout.of(topic.idl_type)
         if isinstance(data, np.ndarray):
-            rows = data
-            encoding = np.frombuffer(CDR_HEADER[:2], np.uint8)
-            if rows.shape[1] != layout.sample_size or (rows[:, :2] != encoding).any():
-                for row in rows:
-                    layout.check(row.tobytes())
+            sizes, octets = set(data.shape[1:]), data
         else:
+            sizes, octets = set(map(len, data)), np.frombuffer(b"".join(data), np.uint8)
+        size, encoding = layout.sample_size, np.frombuffer(CDR_HEADER[:2], np.uint8)
+        if sizes - {size} or (octets.reshape(-1, size)[:, :2] != encoding).any():
             for sample in data:
-                layout.check(sample)
-            octets = np.frombuffer(b"".join(data), np.uint8)
-            rows = octets.reshape(len(data), layout.sample_size)
+                layout.check(bytes(sample))
+        rows = octets.reshape(len(data), size)
         self._payloads = rows[:, len(CDR_HEADER) : len(CDR_HEADER) + layout.size]
 
     def __getitem__(self, path: str) -> NDArray[Any]:

@@ -269,7 +269,7 @@ class _Calls(Generic[T, R]):
         queue.append(batch)
         queue[0].begun = queue[0].begun if len(queue) > 1 else time.monotonic()
         answer = self._ask(lambda: remote)
-        answer.add_done_callback(lambda _: self._answers.put((address, batch, remote, answer)))
+        answer.add_done_callback(lambda done: self._answers.put((address, batch, remote, done)))
 
     def _take(
         self, address: str, batch: _Batch[T], remote: Any, answer: Future[Any]

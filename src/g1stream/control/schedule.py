@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import inf
 from typing import TYPE_CHECKING, Final
 
@@ -219,6 +220,10 @@ class Schedule:
 
     def target_ahead(self, then: int, last: Setpoint) -> Setpoint:
         """The target at a later time, in the phase of that time if the session continues."""
-        endless = replace(self.timing, way_down=_FOREVER)
-        state = step(then, self.state, Inputs(), endless)
+        state = step(then, self.state, Inputs(), _with_endless_hold(self.timing))
         return self.targets.at(state.phase, state.elapsed(then), self.timing, last)
+
+
+@lru_cache(maxsize=1)
+def _with_endless_hold(timing: Timing) -> Timing:
+    return replace(timing, way_down=_FOREVER)

@@ -86,8 +86,15 @@ def test_the_contract_near_a_wrong_one_that_stands_is_found(policy, simulated, n
     network = Network(policy())
     right = read_contract(network)
     tried = simulated(lambda contract, stand: facts_of(contract) == facts_of(right))
-    found = rehearse_policy(network, WRONG[named](right), g1stream.load_motion("demo"))
+    lefts = []
+    found = rehearse_policy(
+        network,
+        WRONG[named](right),
+        g1stream.load_motion("demo"),
+        lambda trial, left: lefts.append(left),
+    )
     assert not found.stands
+    assert lefts == [0, 0, *reversed(range(len(found.near)))]
     assert [one.contract for one in found.near if not one.reason] == [named]
     assert found.near[0].contract == named
     assert [stand for _, stand in tried] == [3.0, *[0.5] * (len(tried) - 1)]

@@ -134,7 +134,7 @@ def rehearse_policy(
     network: Network,
     contract: PolicyContract,
     motion: Motion,
-    said: Callable[[Trial], None] = lambda trial: None,
+    said: Callable[[Trial, int], None] = lambda trial, left: None,
 ) -> Rehearsal:
     """Play the beginning of a motion in lockstep; if the robot falls, try contracts near it, too.
 
@@ -146,7 +146,7 @@ def rehearse_policy(
         network: the network.
         contract: its contract.
         motion: the motion to track.
-        said: called after each trial.
+        said: called after each trial, with the number of those that are left.
 
     Raises:
         G1StreamError: the motion cannot be played with this policy.
@@ -159,7 +159,9 @@ def rehearse_policy(
             (copy.parent / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(network.path.parent / name, copy.parent / name)
 
-        def tried(about: str, changed: PolicyContract, stand: float) -> tuple[Trial, float]:
+        def tried(
+            about: str, changed: PolicyContract, stand: float, left: int = 0
+        ) -> tuple[Trial, float]:
             beside(copy).write_text(changed.toml(), encoding="utf-8")
             config = Config(stream=StreamConfig(policy=str(copy)))
             summary = _rehearse(motion, config, stand, config.stream.rehearse)
@@ -170,21 +172,19 @@ def rehearse_policy(
                 reason=ended.reason or "",
                 rmse_rad=followed.all_joints.rmse_rad if followed else None,
             )
-            said(trial)
+            said(trial, left)
             return trial, ended.motion_s or 0.0
 
         (own, length), stand, longer = tried("", contract, default), default, None
         if own.reason:
             stand, longer = _BRIEFLY, own
             own, length = tried("", contract, stand)
-        for about, changes in _changes(contract):
-            if own.reason or "anchor" in changes:
-                try:
-                    near.append(tried(about, contract.model_copy(update=changes), stand)[0])
-                except G1StreamError as error:
-                    near.append(
-                        Trial(contract=about, stood_s=0.0, reason=str(error), playable=False)
-                    )
+        every = [one for one in _changes(contract) if own.reason or "anchor" in one[1]]
+        for left, (about, changes) in zip(reversed(range(len(every))), every, strict=True):
+            try:
+                near.append(tried(about, contract.model_copy(update=changes), stand, left)[0])
+            except G1StreamError as error:  # noqa: PERF203  the next one may be playable
+                near.append(Trial(contract=about, stood_s=0.0, reason=str(error), playable=False))
     return Rehearsal(
         tried_s=length,
         stand_s=stand,

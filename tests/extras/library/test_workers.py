@@ -70,6 +70,32 @@ def test_the_limits_are_those_of_a_call_alone(client):
     assert answers(client, call, ["huge"]) == {"huge": 500_000_000}
 
 
+@pytest.fixture
+def sent(client, monkeypatch):
+    """Numbers of calls that were sent together."""
+    sizes, submit = [], client.submit
+
+    def counted(function, *args, **kwargs):
+        sizes.extend(len(items) for items in args)
+        return submit(function, *args, **kwargs)
+
+    monkeypatch.setattr(client, "submit", counted)
+    return sizes
+
+
+def test_calls_take_a_quarter_of_a_second_together_also_if_this_process_is_slow(client, sent):
+    delays = [0.005 + 1e-9 * i for i in range(800)]
+    slow = lambda: time.sleep(0.5) is not None  # noqa: E731  several answers come meanwhile
+    assert sum(len(pairs) for pairs in completed(client, time.sleep, delays, stop=slow)) == 800
+    assert 8 < max(sent) <= 50
+
+
+def test_calls_after_quick_ones_are_not_sent_by_the_hundred(client, sent):
+    delays = [1e-9 * i for i in range(100)] + [0.005 + 1e-9 * i for i in range(2000)]
+    assert len(answers(client, time.sleep, delays)) == 2100
+    assert all(n <= 2 * max(sent[:i], default=1) for i, n in enumerate(sent))
+
+
 def test_workers_take_messages_only_from_who_has_their_key(client):
     address = client.scheduler.address
     assert address.startswith("tls://127.0.0.1:")

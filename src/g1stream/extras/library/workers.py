@@ -105,8 +105,11 @@ def _within(
 
 def _each(
     limits: Limits | None, function: Callable[[T], R], items: list[T]
-) -> list[tuple[R | None, Exception | None]]:
-    return [_within(limits, function, item) for item in items]
+) -> tuple[float, list[tuple[R | None, Exception | None]]]:
+    """Call a function with each item; returns the time of all calls, s, and the answers."""
+    begun = time.monotonic()
+    answers = [_within(limits, function, item) for item in items]
+    return time.monotonic() - begun, answers
 
 
 def completed(
@@ -168,7 +171,7 @@ class _Calls(Generic[T, R]):
         self._queues: dict[str, list[_Batch[T]]] = {}  # by address; it makes the first
         self._answers: SimpleQueue[tuple[str, _Batch[T], Any, Future[Any]]] = SimpleQueue()
         self._look, self._next_look, self._due = self._ask(client.nthreads), 0.0, 0.0
-        self._seconds = math.inf  # of a call
+        self._together = 1  # calls that are sent together
 
     def pending(self) -> bool:
         return bool(self._waiting or self._again or any(self._queues.values()))
@@ -258,7 +261,7 @@ class _Calls(Generic[T, R]):
 
     def _next_batch(self) -> _Batch[T]:
         most = len(self._waiting) // (4 * len(self._queues))  # the last ones are for all workers
-        n = max(1, min(most, int(_TOGETHER / self._seconds)))
+        n = max(1, min(most, self._together))
         return _Batch([self._waiting.popleft() for _ in range(n)], again=False)
 
     def _submit(self, address: str, queue: list[_Batch[T]], batch: _Batch[T]) -> None:
@@ -283,11 +286,9 @@ class _Calls(Generic[T, R]):
         if type(error).__name__ == "KilledWorker":
             self._look = self._ask(self._client.nthreads)  # the answer to come may be outdated
             return self._lose(address)
-        now = time.monotonic()
-        self._seconds = max(1e-4, (now - batch.begun) / len(batch.items))
         queue.remove(batch)
         if queue:
-            queue[0].begun = now
+            queue[0].begun = time.monotonic()
         if error and not lost and len(batch.items) > 1:  # an answer that cannot be pickled
             self._again.extend(batch.items)
             return []
@@ -296,7 +297,13 @@ class _Calls(Generic[T, R]):
             for _, future in pairs:
                 future.cancel()
             return pairs
-        answers = [(None, error)] if error else answer.result()
+        if error:
+            answers = [(None, error)]
+        else:
+            seconds, answers = answer.result()
+            # Only twice as many, because the next calls may take longer.
+            fit = int(_TOGETHER * len(answers) / max(seconds, 1e-6))
+            self._together = min(2 * len(answers), fit)
         for (_, future), (result, raised) in zip(pairs, answers, strict=False):
             if raised:
                 future.set_exception(raised)

@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.control.lowstate import LowStateChecks
-from g1stream.control.reading import Reading
-from g1stream.control.targets import Ramp
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LOWSTATE, LowState
@@ -25,6 +22,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import WiderValue
     from g1stream.control.plan import Plan
+    from g1stream.control.reading import Reading
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
 
@@ -108,7 +106,9 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
             receiver needs one and none is active.
         WireError: no plausible LowState is received.
     """
-    from g1stream.doctor.facts import Facts, ok, warning  # slow, and loopback does not need it
+    # These are slow, and loopback does not need them.
+    from g1stream.control.targets import Ramp
+    from g1stream.doctor.facts import Facts, ok, warning
     from g1stream.doctor.findings import evaluate
     from g1stream.doctor.inspection import inspect_host, inspect_participant
 
@@ -144,6 +144,8 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
 
 
 def _plausible_state(participant: Participant, plan: Plan) -> Reading:
+    from g1stream.control.lowstate import LowStateChecks
+
     config, state = plan.config, LowState()
     checks = LowStateChecks(plan.robot, plan.held, config.safety, config.constants)
     deadline = time.monotonic() + config.stream.wait

@@ -27,7 +27,6 @@ from g1stream.files import check_output_path
 from g1stream.network import is_local_only
 from g1stream.optional import extension
 from g1stream.realtime import describe, on_time
-from g1stream.session.records import MotionInfo, ParametersInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Topic
     from g1stream.doctor.facts import Finding
     from g1stream.motion.motion import Motion
+    from g1stream.session.records import RecorderSummary, StreamSummary
 
 __all__ = ["stream"]
 
@@ -150,6 +150,7 @@ def _summarise(
     from g1stream.analysis.summary import Termination
     from g1stream.analysis.tracking import errors_of_run
     from g1stream.app.session import open_session
+    from g1stream.session.records import MotionInfo, ParametersInfo
 
     met = played.commands or played.states_used  # otherwise the file has nothing of a motion
     if met and recording and not recording.stopped and not recording.removed:
@@ -227,6 +228,8 @@ class _RecorderChild:
 
         A signal during this time ends the recorder at once.
         """
+        from g1stream.session.records import RecorderSummary
+
         summary: RecorderSummary
         final = {"stream": stream.model_dump(mode="json"), "stopped": self._failure}
         requests = self._loop.stop_requests

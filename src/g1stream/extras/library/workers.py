@@ -297,9 +297,8 @@ class _Calls(Generic[T, R]):
             for _, future in pairs:
                 future.cancel()
             return pairs
-        if error:
-            answers = [(None, error)]
-        else:
+        answers: list[tuple[Any, BaseException | None]] = [(None, error)]
+        if not error:
             seconds, answers = answer.result()
             # Only twice as many, because the next calls may take longer.
             fit = int(_TOGETHER * len(answers) / max(seconds, 1e-6))

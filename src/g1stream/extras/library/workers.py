@@ -387,6 +387,8 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
         # Each process has an HTTP server, which then has no pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
+        # A profile is kept for each second.
+        "distributed.worker.profile.enabled": False,
         # Dask would have memory returned to the system so often that a check takes 1.25 times as
         # long.
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,

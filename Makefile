@@ -6,6 +6,9 @@ BIN    := $(VENV)/bin
 .PHONY: demo test test-fast lint docs site lock clean
 .DEFAULT_GOAL := help
 
+# As each command sets it: the tests have the cores, and BLAS threads that wait for one spin.
+export OPENBLAS_NUM_THREADS := 1
+
 help:
 	@echo "make demo   install, then play the bundled motion on the bridge and record it (demo-out/)"
 	@echo "make test   install, then run the whole test suite"
@@ -33,12 +36,12 @@ demo: $(VENV)/.run
 
 # First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one: the
 # core with the extras hidden, which proves that it needs none, then the extras. Then what is about
-# time and processes, file by file. Last what an armed guard ends, or a figure misses, where another
+# time and processes, file by file; it waits for half of its time. Last what an armed guard ends, or a figure misses, where another
 # test takes the CPU: one at a time.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" --core-alone --ignore tests/extras
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" tests/extras
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "dds and not alone"
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m "dds and not alone"
 	$(BIN)/python -m pytest -m alone
 
 test-fast: $(VENV)/.dev

@@ -25,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from forked import Forked
 from g1 import JOINTS
 from judge import LENGTH, RATE, Outcome, judge
 
@@ -99,23 +100,27 @@ class Robot:
     """robot.py as a process."""
 
     def __init__(self, spec: dict[str, Any], prefix: Sequence[str] = ()) -> None:
-        self._process = subprocess.Popen(
-            [*prefix, sys.executable, HERE / "robot.py", json.dumps(spec)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=ENVIRONMENT,
-        )
         self.out = Path(spec["out"])
+        stdin, ours = os.pipe()
+        said, stdout = os.pipe()
+        self._stdin, self._said = os.fdopen(ours, "w"), os.fdopen(said)
+        self._process: Forked | subprocess.Popen[bytes]
+        if prefix:
+            command = [*prefix, sys.executable, str(HERE / "robot.py"), json.dumps(spec)]
+            self._process = subprocess.Popen(command, stdin=stdin, stdout=stdout, env=ENVIRONMENT)
+        else:
+            self._process = Forked("robot", [json.dumps(spec)], ENVIRONMENT, [stdin, stdout, 2])
+        os.close(stdin)
+        os.close(stdout)
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()
         if self._lines.get(timeout=PATIENCE) != "ready":
             raise RuntimeError("the robot does not start")
 
     def _listen(self) -> None:
-        assert self._process.stdout
-        for line in self._process.stdout:
-            self._lines.put(line.strip())
+        with self._said:
+            for line in self._said:
+                self._lines.put(line.strip())
         self._lines.put("")
 
     def wait_commanded(self, alive: Callable[[], bool]) -> bool:
@@ -126,8 +131,7 @@ class Robot:
 
     def finish(self) -> Any:
         """End it; its record."""
-        assert self._process.stdin
-        self._process.stdin.close()
+        self._stdin.close()
         self._process.wait(PATIENCE)
         with np.load(self.out) as record:
             return {name: record[name] for name in record.files}
@@ -174,7 +178,7 @@ class Session:
         self.clean_up: list[Callable[[], Any]] = []
         self.wrong: list[str] = []
         self.said = folder / "said.txt"
-        self.process: subprocess.Popen[bytes]
+        self.process: Forked | subprocess.Popen[bytes]
         self.robot: Robot
 
     def set(self, text: str) -> None:
@@ -188,7 +192,13 @@ class Session:
         self.environment["PYTHONPATH"] = os.pathsep.join(paths)
 
     def start(self, arguments: Sequence[str]) -> None:
-        with self.said.open("ab") as said:
+        with self.said.open("ab") as said, Path(os.devnull).open() as nothing:
+            # What acts before an interpreter has started needs one of its own.
+            own = self.prefix or self.before or self.environment != ENVIRONMENT
+            if not own:
+                streams = [nothing.fileno(), said.fileno(), said.fileno()]
+                self.process = Forked("g1stream.cli.main", arguments, ENVIRONMENT, streams)
+                return
             self.process = subprocess.Popen(
                 [*self.prefix, sys.executable, "-m", "g1stream", *arguments],
                 stdin=subprocess.DEVNULL if self.terminal is None else self.terminal,

@@ -123,7 +123,7 @@ def processes_of(pid):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, until):
+def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, until, cluster):
     process = start(
         *("check", many, "-o", tmp_path, "--workers", 2, "--json", "--fail-if", "frames > 1e9")
     )
@@ -140,17 +140,21 @@ def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, un
     assert ("not decided: frames" in process.stderr.read()) == (number != signal.SIGKILL)
     alive = lambda: [pid for pid in processes if Path(f"/proc/{pid}").exists()]  # noqa: E731
     until(lambda: not alive(), "its processes to end")
-    kept = set(open_library(tmp_path).motions["key"])
-    assert {row["key"] for row in printed} <= kept
-    assert len(kept) < 120
-    again = run_library([str(many)], [LibraryCase("check", tmp_path)], workers=2)
-    assert (again.complete, again.known, again.done) == (True, len(kept), 120 - len(kept))
-    assert len(open_library(tmp_path).motions) == 120
+    kept = open_library(tmp_path).motions
+    assert {row["key"] for row in printed} <= {*kept["key"]}
+    # A few of the others are enough: each takes its time.
+    others = sorted({str(path) for path in many.iterdir()} - {*kept["path"]})[:10]
+    assert others
+    places = [*kept["path"], *others]
+    again = run_library(places, [LibraryCase("check", tmp_path)], cluster=cluster)
+    assert (again.complete, again.known, again.done) == (True, len(kept), len(others))
+    assert {*open_library(tmp_path).motions["path"]} == {*places}
 
 
 @pytest.mark.slow
 def test_processes_that_are_killed_lose_nothing(many, tmp_path):
-    process = start("check", many, "-o", tmp_path, "--workers", 2, "--json")
+    some = sorted(many.iterdir())[:40]
+    process = start("check", *some, "-o", tmp_path, "--workers", 2, "--json")
     process.stdout.readline()
     processes = processes_of(process.pid)
     assert len(processes) == 2
@@ -158,7 +162,7 @@ def test_processes_that_are_killed_lose_nothing(many, tmp_path):
         os.kill(pid, signal.SIGKILL)
     _, errors = process.communicate(timeout=100)
     assert process.returncode == 0, errors
-    assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 120
+    assert list(open_library(tmp_path).motions["status"]) == ["ok"] * 40
 
 
 @pytest.mark.slow

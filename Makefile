@@ -36,8 +36,8 @@ demo: $(VENV)/.run
 
 # First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one: the
 # core with the extras hidden, which proves that it needs none, then the extras. Then what is about
-# time and processes, file by file; it waits for half of its time. Last what an armed guard ends, or a figure misses, where another
-# test takes the CPU: one at a time.
+# time and processes, file by file, three at once, because it waits for half of its time. Last what
+# an armed guard ends, or a figure misses, where another test takes the CPU: one at a time.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" --core-alone --ignore tests/extras
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" tests/extras

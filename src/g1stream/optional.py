@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError
@@ -117,9 +116,11 @@ def require_installed(package: str, extra: str, purpose: str) -> None:
     Raises:
         ConfigError: the package is not installed.
     """
+    from importlib import metadata  # slow, and each process imports this module
+
     try:
-        version(package)
-    except PackageNotFoundError:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
         raise not_installed(package, extra, purpose) from None
 
 

@@ -87,6 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command."""
     # The matrices are small; starting a pool of BLAS threads would only cost 50 ms of CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Otherwise `import mujoco` loads GLFW, for which it runs two interpreters.
+    os.environ.setdefault("MUJOCO_GL", "disabled")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     for stream in (sys.stdout, sys.stderr):  # escape characters outside the terminal's encoding
         if isinstance(stream, TextIOWrapper):

@@ -58,7 +58,7 @@ class Scene:
         with _opengl_errors():
             import mujoco
 
-            if not os.environ.get("MUJOCO_GL"):
+            if os.environ.get("MUJOCO_GL") in (None, "", "disabled"):
                 os.environ["MUJOCO_GL"] = "egl"  # unlike MuJoCo's default, it needs no display
             reload(sys.modules[mujoco.Renderer.__module__].gl_context)  # this reads MUJOCO_GL
         self.meshes = has_meshes(robot)

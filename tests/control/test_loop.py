@@ -4,7 +4,6 @@ import gc
 import logging
 import math
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,12 +78,12 @@ def test_commands_have_the_mode_machine_of_the_robot(make_loop, link):
 def test_the_part_that_is_played(make_loop, trajectory, timing):
     targets = Targets(trajectory, start=0.1, moved=np.ones(29, bool))
     assert make_loop(targets=targets).part == (0.1, 0.6)
-    assert make_loop(targets=targets, timing=replace(timing, play=None)).part == (0.1, math.inf)
+    assert make_loop(targets=targets, timing=timing._replace(play=None)).part == (0.1, math.inf)
 
 
 def test_what_wait_waits_for_is_said_meanwhile(make_loop, link, clock, timing, events):
     link.waits_for = "no subscriber on rt/lowcmd"
-    make_loop(timing=replace(timing, wait=4_500 * MS), where="domain 7 on lo").run()
+    make_loop(timing=timing._replace(wait=4_500 * MS), where="domain 7 on lo").run()
     told = [text for _, text in events() if text.startswith("WAIT, ")]
     assert len(told) == 2  # after 1 and 4 s
     assert set(told) == {"WAIT, up to 4.5 s, in domain 7 on lo: no subscriber on rt/lowcmd"}
@@ -140,7 +139,7 @@ def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
 
 def test_a_looping_motion_plays_until_stopped(make_loop, link, motion, timing):
     targets = Targets(Trajectory(motion, loop=True), start=0.0, moved=np.ones(29, bool))
-    loop = make_loop(targets=targets, timing=replace(timing, play=None))
+    loop = make_loop(targets=targets, timing=timing._replace(play=None))
     link.at_send(500, lambda: loop.request_stop("enough"))
     loop.run()
     assert link.phases() == {"RAMP": RAMP, "PLAY": 501 - RAMP, "DAMP": DAMP}
@@ -214,7 +213,7 @@ def test_waiting_is_not_counted_as_skipping(make_loop, clock):
 def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, timing, monkeypatch):
     """Without the collector, as in a session: what refers to itself would stay for ever."""
     looping = Targets(Trajectory(motion, loop=True), start=0.0, moved=np.ones(29, bool))
-    loop = make_loop(targets=looping, timing=replace(timing, play=None))
+    loop = make_loop(targets=looping, timing=timing._replace(play=None))
     blocks = []
 
     def send(command, reference, stamp):
@@ -330,7 +329,7 @@ class Down:
 def test_a_resting_motion_can_be_ended(make_loop, link, trajectory, timing, way_down, unheard):
     """On its feet the robot goes down first. A rest that nothing ends any more ends the run."""
     targets = Targets(trajectory, start=0.0, moved=np.ones(29, bool), way_down=way_down)
-    timing = replace(timing, way_down=round(1e9 * Down.length) if way_down else 0)
+    timing = timing._replace(way_down=round(1e9 * Down.length) if way_down else 0)
     loop = make_loop(targets=targets, timing=timing, rests=[200 * MS])
     end = loop.end_at_rest if unheard else loop.request_stop
     link.at_send(RAMP + (10 if unheard else 200), lambda: end("enough"))

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +20,7 @@ def test_waits_for_what_is_missing():
 
 
 def test_waits_for_other_publishers_to_be_discovered():
-    state, timing = PhaseState(WAIT, START), replace(TIMING, settle=100)
+    state, timing = PhaseState(WAIT, START), TIMING._replace(settle=100)
     assert step(START + 99, state, READY, timing) == state
     assert step(START + 100, state, READY, timing) == PhaseState(RAMP, START + 100)
 
@@ -50,7 +48,7 @@ def test_a_phase_ends_at_its_exact_instant(phase, lasts, following):
 def test_several_phases_pass_in_one_step():
     state = step(START + 300 + 5000 + 50, PhaseState(RAMP, START), READY, TIMING)
     assert state == PhaseState(HOLD, START + 300 + 5000)
-    no_hold = replace(TIMING, hold=0)
+    no_hold = TIMING._replace(hold=0)
     state = step(START + 300 + 5000, PhaseState(RAMP, START), Inputs(), no_hold)
     assert state == PhaseState(DAMP, START + 300 + 5000)
 
@@ -77,6 +75,9 @@ timings = st.builds(
     play=st.none() | durations,
     hold=durations,
     damp=st.integers(1, 10_000),
+    settle=durations,
+    awaited=durations,
+    way_down=durations,
 )
 ticks = st.lists(
     st.tuples(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -217,7 +216,7 @@ class NextCommand:
         """Restart RAMP from the measured pose at every tick of the soft start, if there is one."""
         if self._soft_until is None:
             return
-        self._schedule.state = replace(self._schedule.state, since=deadline)
+        self._schedule.state = self._schedule.state._replace(since=deadline)
         if measured:
             self._ramp_from(measured)
         if deadline < self._soft_until:

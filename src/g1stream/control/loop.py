@@ -7,7 +7,6 @@ next command, so that only a write lies between the deadline and DDS.
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
@@ -417,7 +416,7 @@ class StreamLoop:
                 if last:
                     self._damp(last.at_rest(), start)
             finally:
-                self._schedule.state = replace(self.state, phase=Phase.DONE)
+                self._schedule.state = self.state._replace(phase=Phase.DONE)
 
     def _damp(self, target: Setpoint, deadline: int) -> None:
         """Damp for the configured time, then raise the first error of that time."""
@@ -461,7 +460,7 @@ def make_loop(
     timing = Timing.from_config(settings, plan.interval.length, settle + period)
     if down := traits.way_down:
         hold = max(timing.hold, COAST_NS)
-        timing = replace(timing, hold=hold, way_down=round(1e9 * down.length))
+        timing = timing._replace(hold=hold, way_down=round(1e9 * down.length))
     start = plan.interval.start
     ticks = range(0, block * period, period)
     targets = Targets(plan.trajectory, start=start, moved=plan.moved, way_down=down, block=ticks)

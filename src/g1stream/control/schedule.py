@@ -11,10 +11,8 @@ timeout. Time is an argument, in integer nanoseconds of one monotonic clock.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from g1stream.control.stop import Stop
 from g1stream.control.targets import COAST_NS, Ramp, Timing
@@ -38,8 +36,7 @@ _LOG_INTERVAL: Final = 3_000_000_000
 _FOREVER: Final = 1 << 62
 
 
-@dataclass(frozen=True)
-class Inputs:
+class Inputs(NamedTuple):
     """Inputs of the state machine at a tick.
 
     Attributes:
@@ -51,8 +48,7 @@ class Inputs:
     stop: Stop | None = None
 
 
-@dataclass(frozen=True)
-class PhaseState:
+class PhaseState(NamedTuple):
     """The phase, its start time (ns), and why the session ends early (None if it does not)."""
 
     phase: Phase
@@ -78,7 +74,7 @@ def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseSt
         return _leave_wait(now, state, inputs, timing)
     while (end := _end_of(state, timing)) is not None and now >= end:
         following = Phase(state.phase + 1)
-        state = replace(state, phase=following, since=now if following is Phase.DAMP else end)
+        state = state._replace(phase=following, since=now if following is Phase.DAMP else end)
     return state
 
 
@@ -146,14 +142,14 @@ class Schedule:
     def delay(self, gap: int) -> None:
         """Extend the current phase by `gap`."""
         if gap:
-            self.state = replace(self.state, since=self.state.since + gap)
+            self.state = self.state._replace(since=self.state.since + gap)
             self.delayed += gap
 
     def begin_ramp(self, q: NDArray[np.floating]) -> None:
         """Begin RAMP at the measured pose `q` (29,), rad."""
         distance = self.targets.begin(q)
         self.ramp = Ramp.for_distance(distance, self._least_ramp, self._ramp_speed)
-        self.timing = replace(self.timing, ramp=self.ramp.length, awaited=0)
+        self.timing = self.timing._replace(ramp=self.ramp.length, awaited=0)
         self._logged = -_LOG_INTERVAL
 
     def wait_in_ramp(self, now: int, awaited: str) -> None:
@@ -165,7 +161,7 @@ class Schedule:
         if elapsed >= self._logged + _LOG_INTERVAL:
             self._logged = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
-        self.timing = replace(self.timing, awaited=longer)
+        self.timing = self.timing._replace(awaited=longer)
 
     def rest(self, now: int) -> bool:
         """Stop the motion if it has reached the next rest, and return whether it rests."""
@@ -174,7 +170,7 @@ class Schedule:
         over = self.state.elapsed(now) - self._rests[0]
         if self.resting or over >= 0:  # also if the robot's time has moved the phase meanwhile
             # Unlike in `delay`, the time of the motion's clock goes on, by which a policy steps.
-            self.state = replace(self.state, since=self.state.since + over)
+            self.state = self.state._replace(since=self.state.since + over)
             self.resting = True
         return self.resting
 
@@ -204,8 +200,8 @@ class Schedule:
             if state.phase is not Phase.HOLD:
                 play, elapsed = elapsed if state.phase is Phase.PLAY else 0, 0
             hold = min(self.timing.hold, max(elapsed, COAST_NS))
-            self.timing = replace(self.timing, play=play, hold=hold)
-            self.state = replace(state, stop=stop)
+            self.timing = self.timing._replace(play=play, hold=hold)
+            self.state = state._replace(stop=stop)
         return True
 
     def ramped(self, now: int) -> float:
@@ -220,10 +216,5 @@ class Schedule:
 
     def target_ahead(self, then: int, last: Setpoint) -> Setpoint:
         """The target at a later time, in the phase of that time if the session continues."""
-        state = step(then, self.state, Inputs(), _with_endless_hold(self.timing))
+        state = step(then, self.state, Inputs(), self.timing._replace(way_down=_FOREVER))
         return self.targets.at(state.phase, state.elapsed(then), self.timing, last)
-
-
-@lru_cache(maxsize=1)
-def _with_endless_hold(timing: Timing) -> Timing:
-    return replace(timing, way_down=_FOREVER)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -146,8 +145,7 @@ class Ramp(NamedTuple):
         return cls(length, JOINT_NAMES[joint], furthest)
 
 
-@dataclass(frozen=True)
-class Timing:
+class Timing(NamedTuple):
     """Length of each phase, ns.
 
     Attributes:

@@ -6,8 +6,8 @@ BIN    := $(VENV)/bin
 .PHONY: demo test test-fast lint docs site lock clean
 .DEFAULT_GOAL := help
 
-# As each command sets it: the tests have the cores, and BLAS threads that wait for one spin.
-export OPENBLAS_NUM_THREADS := 1
+# The tests have the cores, and BLAS threads that wait for one spin.
+export OPENBLAS_NUM_THREADS ?= 1
 
 help:
 	@echo "make demo   install, then play the bundled motion on the bridge and record it (demo-out/)"

@@ -29,6 +29,7 @@ import sides
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "faults"))
 from engine import AT_ONCE, Fault, Session, play
+from forked import start_server
 from judge import Outcome
 from table import FAULTS
 
@@ -53,6 +54,7 @@ def run(faults: Iterable[Fault], first_domain: int, rounds: int) -> list[Outcome
         print(told if outcome.wrong else f"ok     {fault.name}", file=sys.stderr, flush=True)
         return outcome
 
+    start_server()
     possible = [fault for fault in faults if not fault.impossible]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         outcomes = list(pool.map(one, [fault for fault in possible if not fault.alone]))

@@ -87,6 +87,18 @@ def test_help_needs_no_heavy_imports():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_command_loads_no_window_library_with_mujoco():
+    code = (
+        "from g1stream.cli.main import main\n"
+        "main(['--version'])\n"
+        "import mujoco, sys\n"
+        "print('glfw' in sys.modules)"
+    )
+    environment = {name: one for name, one in os.environ.items() if name != "MUJOCO_GL"}
+    shown = subprocess.check_output([sys.executable, "-c", code], text=True, env=environment)
+    assert shown.splitlines()[-1] == "False"
+
+
 @pytest.mark.parametrize("command", ["doctor", "stream demo", "info"])
 def test_without_cyclonedds_files_are_read_and_the_rest_says_how_to_install_it(command, tmp_path):
     """As where it is not installed, or where its library is another one."""

@@ -13,6 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from engine import AT_ONCE, Fault, play
+from forked import start_server
 from judge import Outcome
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def outcome_of(request, tmp_path_factory, claim_domain) -> Iterator[Callable[[Fa
     rows = [
         i.callspec.params["fault"] for i in request.session.items if "outcome_of" in i.fixturenames
     ]
+    start_server()
     with ThreadPoolExecutor(AT_ONCE) as pool:
         running: dict[str, Future[Outcome]] = {
             row.name: pool.submit(run, row) for row in rows if not (row.alone or row.impossible)

@@ -195,18 +195,18 @@ class Session:
         with self.said.open("ab") as said, Path(os.devnull).open() as nothing:
             # What acts before an interpreter has started needs one of its own.
             own = self.prefix or self.before or self.environment != ENVIRONMENT
-            if not own:
+            if own or self.terminal is not None:
+                self.process = subprocess.Popen(
+                    [*self.prefix, sys.executable, "-m", "g1stream", *arguments],
+                    stdin=nothing if self.terminal is None else self.terminal,
+                    stdout=said if self.terminal is None else self.terminal,
+                    stderr=said if self.terminal is None else self.terminal,
+                    env=self.environment,
+                    preexec_fn=self.before,  # noqa: PLW1509
+                )
+            else:
                 streams = [nothing.fileno(), said.fileno(), said.fileno()]
                 self.process = Forked("g1stream.cli.main", arguments, ENVIRONMENT, streams)
-                return
-            self.process = subprocess.Popen(
-                [*self.prefix, sys.executable, "-m", "g1stream", *arguments],
-                stdin=subprocess.DEVNULL if self.terminal is None else self.terminal,
-                stdout=said if self.terminal is None else self.terminal,
-                stderr=said if self.terminal is None else self.terminal,
-                env=self.environment,
-                preexec_fn=self.before,  # noqa: PLW1509
-            )
         if self.terminal is not None:
             os.close(self.terminal)
 

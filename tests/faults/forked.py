@@ -1,7 +1,8 @@
 """Programs in processes forked from one that has imported what they need.
 
-Each row starts several programs, and their imports would take longer than they do. Only the fork
-server of `multiprocessing` has imported them; it has no thread and is in no domain of DDS.
+Each row starts several programs, and their imports would take longer than they do. They are forked
+by the fork server of `multiprocessing`, because pytest itself has threads and joins DDS domains.
+The end of an interpreter is no part of such a program: it runs no `atexit` handlers.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from multiprocessing import reduction
+from multiprocessing import forkserver, reduction
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -28,13 +29,20 @@ _CONTEXT.set_forkserver_preload(
 _LOCK: Final = threading.Lock()
 
 
+def start_server() -> None:
+    """Start the fork server; call it in the main thread, see `engine.ENVIRONMENT`."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # it must have no other thread
+    forkserver.ensure_running()
+
+
 class Forked:
     """A running program, used like a `subprocess.Popen`.
 
     Args:
         module: whose `main()` is the program.
         arguments: of the program.
-        environment: of the program, but for variables that an interpreter reads as it starts.
+        environment: of the program. Variables that are read as an interpreter starts, or in an
+            import, have no effect.
         streams: descriptors of its standard input, output and error.
     """
 

@@ -1,4 +1,4 @@
-"""A robot that can fail, and the record of what its motors received; knows nothing of g1stream.
+"""A robot that can fail, and the record of what its motors received; uses nothing of g1stream.
 
     python robot.py '{"domain": 20, "out": "tap.npz", "faults": [{"at": 0.8, "do": "silent"}]}'
 

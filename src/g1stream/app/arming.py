@@ -106,7 +106,7 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
             receiver needs one and none is active.
         WireError: no plausible LowState is received.
     """
-    # These are slow, and loopback does not need them.
+    # Imported late, so that the guard starts meanwhile; loopback needs nothing of the doctor.
     from g1stream.control.targets import Ramp
     from g1stream.doctor.facts import Facts, ok, warning
     from g1stream.doctor.findings import evaluate

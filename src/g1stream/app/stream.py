@@ -111,14 +111,15 @@ def stream(
             extension("rehearse_policy")(motion, config)
         confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
-        if not config.safety.allow_second_writer:
-            clock.sleep_until(joined + round(DISCOVERY * 1e9))
-            _refuse_if_commanded(participant, planned)
         steps = planned.source.traits.about is not None
-        link = DdsLink(participant, guard.wait_until_ready(), planned.receiver, steps=steps)
+        link = DdsLink(participant, guard.heartbeat, planned.receiver, steps=steps)
         planned.source.listen(partial(_newest, participant))
         events = dds_log_handler(participant, "stream")
         loop = make_loop(planned, link, clock)
+        if not config.safety.allow_second_writer:
+            clock.sleep_until(joined + round(DISCOVERY * 1e9))
+            _refuse_if_commanded(participant, planned)
+        guard.wait_until_ready()
         if on_loop:
             on_loop(loop)
         recorder = _RecorderChild(path, force, planned, loop) if path else None

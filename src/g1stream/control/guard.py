@@ -260,6 +260,9 @@ class Guard:
         config: settings of the stream, including those that `for_wire` sets.
         participant: the participant that sends the commands.
 
+    Attributes:
+        heartbeat: heartbeat for the link that publishes the commands; None without a guard.
+
     Raises:
         ConfigError: the guard is disabled, and a robot may be commanded.
         SafetyError: this system does not support a guard.
@@ -273,11 +276,11 @@ class Guard:
         self._failure = ""
         self._began = False
         self._child: Child | None = None
-        self._heartbeat: Heartbeat | None = None
+        self.heartbeat: Heartbeat | None = None
         self._end_timeout = _END_TIMEOUT + config.stream.damp
         if config.safety.guard:
-            self._heartbeat = Heartbeat()
-            memory = self._heartbeat.descriptor
+            self.heartbeat = Heartbeat()
+            memory = self.heartbeat.descriptor
             self._child = Child(
                 "guard",
                 _settings(config, memory, sockets)._asdict(),
@@ -290,18 +293,14 @@ class Guard:
                 "Remove this setting: without the guard process, a killed stream does not damp.",
             )
 
-    def wait_until_ready(self) -> Heartbeat | None:
-        """Wait until the guard process watches the heartbeat.
-
-        Returns:
-            The heartbeat, for the link that publishes the commands; None without a guard.
+    def wait_until_ready(self) -> None:
+        """Wait until the guard process watches the heartbeat, before the first command.
 
         Raises:
             ChildError: the guard process failed or was not ready in time.
         """
         if self._child:
             self._child.wait_until_ready()
-        return self._heartbeat
 
     @contextmanager
     def protecting(self, loop: GuardedLoop) -> Iterator[None]:
@@ -313,8 +312,8 @@ class Guard:
             yield
         finally:
             self._loop = None
-            if self._heartbeat and loop.damped:
-                self._heartbeat.clear()
+            if self.heartbeat and loop.damped:
+                self.heartbeat.clear()
 
     def __enter__(self) -> Guard:
         return self
@@ -328,15 +327,15 @@ class Guard:
         except ChildError as error:
             _LOGGER.warning("%s", error.cause)
         finally:
-            if self._heartbeat:
-                if self._heartbeat.takeover:
+            if self.heartbeat:
+                if self.heartbeat.takeover:
                     self._participant.cut_off()
-                self._heartbeat.close()
+                self.heartbeat.close()
 
     def _fail(self, cause: str) -> None:
         self._failure = cause
         loop = self._loop
-        if loop is None or (self._heartbeat and self._heartbeat.takeover):
+        if loop is None or (self.heartbeat and self.heartbeat.takeover):
             return
         loop.end_for_error(Stop("guard", f"the guard process failed: {cause.rstrip('.')}"))
 

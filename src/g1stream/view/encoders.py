@@ -59,8 +59,7 @@ _NS_PER_S: Final = 1_000_000_000
 # Every placeholder contains 0xFF, which UTF-8 text never contains, so a frame name cannot match.
 _SECONDS_PLACEHOLDER: Final = 2**35 - 1
 _NANOS_PLACEHOLDER: Final = _NS_PER_S - 1
-_DOUBLE_PLACEHOLDER: Final = struct.Struct("<2sI2s")
-_DOUBLE_PATTERN: Final = rb"\xff\xfe(....)\xe0\x7f"
+_BEFORE, _AFTER = b"\xff\xfe", b"\xe0\x7f"  # of the index in a double
 
 #: Encoding of a timestamp: tags of seconds and nanoseconds, and for each varint the shifts of its
 #: five bytes and their continuation bits.
@@ -196,7 +195,7 @@ class _Template:
         data: bytes = message.SerializeToString()
         self._bytes = np.frombuffer(data, dtype=np.uint8)
         self._shape = shape
-        doubles = _find(data, _DOUBLE_PATTERN, shape[0] * shape[1])
+        doubles = _find(data, _BEFORE + b"(....)" + _AFTER, shape[0] * shape[1])
         self._doubles = _offsets(sorted(doubles, key=lambda one: int.from_bytes(one[1], "little")))
         placeholder = np.array([_SECONDS_PLACEHOLDER]), np.array([_NANOS_PLACEHOLDER])
         stamp = re.escape(_timestamp_bytes(*placeholder).tobytes())
@@ -248,11 +247,11 @@ def _set_placeholder(timestamp: Timestamp) -> None:
 
 
 def _double_placeholder(index: int) -> float:
-    return float(struct.unpack("<d", _DOUBLE_PLACEHOLDER.pack(b"\xff\xfe", index, b"\xe0\x7f"))[0])
+    return float(struct.unpack("<d", _BEFORE + struct.pack("<I", index) + _AFTER)[0])
 
 
 def _find(data: bytes, pattern: bytes, count: int) -> list[re.Match[bytes]]:
-    """The `count` matches of the pattern of a placeholder."""
+    """All matches of a placeholder's pattern; there must be `count`."""
     found = list(re.finditer(pattern, data, re.DOTALL))
     if len(found) != count:
         raise ValueError(f"{len(found)} of {count} placeholders found in the serialised message")

@@ -38,7 +38,8 @@ __all__ = ["CrashedError", "Limits", "TooSlowError", "completed", "open_workers"
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Results within this time are returned together, s, because writing a row alone takes 10 ms.
+#: Calls that take this time, s, are sent together, and results within it are returned together,
+#: because writing a row alone takes 10 ms.
 _TOGETHER: Final = 0.25
 #: Timeout for an answer of the scheduler, and for workers to import g1stream, s.
 _TIMEOUT: Final = 10.0
@@ -171,7 +172,7 @@ class _Calls(Generic[T, R]):
         self._queues: dict[str, list[_Batch[T]]] = {}  # by address; it makes the first
         self._answers: SimpleQueue[tuple[str, _Batch[T], Any, Future[Any]]] = SimpleQueue()
         self._look, self._next_look, self._due = self._ask(client.nthreads), 0.0, 0.0
-        self._together = 1  # calls that are sent together
+        self._batch_size = 1
 
     def pending(self) -> bool:
         return bool(self._waiting or self._again or any(self._queues.values()))
@@ -261,7 +262,7 @@ class _Calls(Generic[T, R]):
 
     def _next_batch(self) -> _Batch[T]:
         most = len(self._waiting) // (4 * len(self._queues))  # the last ones are for all workers
-        n = max(1, min(most, self._together))
+        n = max(1, min(most, self._batch_size))
         return _Batch([self._waiting.popleft() for _ in range(n)], again=False)
 
     def _submit(self, address: str, queue: list[_Batch[T]], batch: _Batch[T]) -> None:
@@ -300,9 +301,9 @@ class _Calls(Generic[T, R]):
         answers: list[tuple[Any, BaseException | None]] = [(None, error)]
         if not error:
             seconds, answers = answer.result()
-            # Only twice as many, because the next calls may take longer.
-            fit = int(_TOGETHER * len(answers) / max(seconds, 1e-6))
-            self._together = min(2 * len(answers), fit)
+            if not batch.again:  # only twice as many, because the next calls may take longer
+                fit = int(_TOGETHER * len(answers) / max(seconds, 1e-6))
+                self._batch_size = min(2 * len(answers), fit)
         for (_, future), (result, raised) in zip(pairs, answers, strict=False):
             if raised:
                 future.set_exception(raised)
@@ -387,7 +388,7 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
         # Each process has an HTTP server, which then has no pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
-        # A profile is kept for each second.
+        # Each worker would look at its stack every 10 ms, and keep a profile of each second.
         "distributed.worker.profile.enabled": False,
         # Dask would have memory returned to the system so often that a check takes 1.25 times as
         # long.

@@ -36,8 +36,8 @@ class Policy(Command):
     once. Facts that its metadata lacks are read from deploy.yaml or from a TOML
     file of the same name beside it. Facts that no file has are listed with the line to write.
 
-    --motion plays the first five seconds in lockstep, standing included. If the robot falls, twenty
-    to forty contracts that differ by one common mistake are tried, and those that stand are named.
+    --motion plays the first five seconds in lockstep, standing included. If the robot falls, some
+    twenty contracts that differ by one common mistake are tried, and those that stand are named.
 
     --golden compares a run of the training side, term by term: a file of numpy.savez with a row for
     each step in joint_pos, joint_vel (N, joints), root_pos_w (N, 3), root_quat_w (N, 4) wxyz,

@@ -146,7 +146,8 @@ def rehearse_policy(
         network: the network.
         contract: its contract.
         motion: the motion to track.
-        said: called after each trial, with the number of those that are left.
+        said: called after each trial, with the number of near contracts that are left; 0 before
+            they are tried.
 
     Raises:
         G1StreamError: the motion cannot be played with this policy.

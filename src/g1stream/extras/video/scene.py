@@ -58,8 +58,9 @@ class Scene:
         with _opengl_errors():
             import mujoco
 
+            # The command line disables it; unlike MuJoCo's default, EGL needs no display.
             if os.environ.get("MUJOCO_GL") in (None, "", "disabled"):
-                os.environ["MUJOCO_GL"] = "egl"  # unlike MuJoCo's default, it needs no display
+                os.environ["MUJOCO_GL"] = "egl"
             reload(sys.modules[mujoco.Renderer.__module__].gl_context)  # this reads MUJOCO_GL
         self.meshes = has_meshes(robot)
         self._robots = [_with_numbers(posed) for posed in robots]

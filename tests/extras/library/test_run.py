@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -149,6 +150,17 @@ def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, un
     again = run_library(places, [LibraryCase("check", tmp_path)], cluster=cluster)
     assert (again.complete, again.known, again.done) == (True, len(kept), len(others))
     assert {*open_library(tmp_path).motions["path"]} == {*places}
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_the_workers_start_is_no_error(many, tmp_path, until):
+    process = start("check", many, "-o", tmp_path, "--workers", 2)
+    until(lambda: processes_of(process.pid), "a worker to start")
+    time.sleep(0.1)  # it imports
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 128 + signal.SIGINT
+    assert "Traceback" not in errors
 
 
 @pytest.mark.slow

@@ -1,4 +1,7 @@
 import json
+import os
+import subprocess
+import sys
 from hashlib import sha256
 
 import numpy as np
@@ -205,3 +208,15 @@ def test_what_is_no_state_is_refused(tmp_path, takes, gives):
     path.with_suffix(".toml").write_text(FACTS)
     with pytest.raises(ConfigError, match=takes[0]):
         read_contract(Network(path))
+
+
+def test_no_network_is_reported_to_anybody(policy, tmp_path):
+    """onnxruntime keeps what it will send in the home directory."""
+    left_out = ("CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "XDG_CACHE_HOME")
+    environment = {name: one for name, one in os.environ.items() if name not in left_out}
+    code = "import sys; from g1stream.extras.policy.network import Network; Network(sys.argv[1])"
+    home, path = tmp_path / "home", policy()
+    home.mkdir()
+    command = [sys.executable, "-c", code, str(path)]
+    subprocess.run(command, check=True, env=environment | {"HOME": str(home)})
+    assert not [one for one in home.rglob("*") if one.is_file()]

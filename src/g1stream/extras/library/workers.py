@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from ipaddress import ip_address
+from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -394,6 +395,10 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
         # long.
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     }
+    # Ctrl-C in a terminal goes to all processes; the workers inherit that it is blocked. The start
+    # of the tracker would unblock it.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         with dask.config.set(settings):
             return distributed.LocalCluster(
@@ -412,6 +417,8 @@ def _own_cluster(distributed: Any, workers: int) -> Any:
             "They import the program that starts them: call run_library below "
             '`if __name__ == "__main__":`.',
         ) from error
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _require_trusted(cluster: str, *, insecure: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -71,6 +72,8 @@ class Network:
     """
 
     def __init__(self, path: Path | str) -> None:
+        # Since 1.29 it sends Microsoft the names and hashes of networks, unless this is set before.
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
         runtime = import_extra("onnxruntime", "policy", "A policy needs")
         self.path = policy_path(path)
         self._onnx = import_extra("onnx", "policy", "A policy needs")

@@ -312,7 +312,7 @@ def test_a_broken_file_is_one_line_and_one_row_for_all_values_of_a_sweep(tmp_pat
     assert sorted(rows["stream.rate"].dropna()) == [100.0, 250.0, 500.0]
     broken = rows[rows["status"] == "broken"]
     assert broken[["support", "stream.rate"]].isna().all(axis=None)
-    assert "5 rows of 3 motions\n  5 computed" in printed
+    assert "5 of 5 rows, 3 motions\n  5 computed" in printed
     assert main(command) == 0
     assert "0 computed in 0.0 s, 5 known before" in capsys.readouterr().out
 

@@ -256,10 +256,13 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
     motions = counted(run.files - run.copies, "motion")
     copies = f", {run.copies} duplicates" if run.copies else ""
     known = f", {run.known} known before" if run.known else ""
-    missing = run.total - run.known - run.done
-    more = f", {missing} missing (run the same command again)" if missing else ""
+    there = run.known + run.done
+    missing = f"{run.total - there} missing" if run.computing else "it ended before all were read"
+    more = (
+        "" if run.computing and there == run.total else f", {missing} (run the same command again)"
+    )
     return [
-        f"{out}: {counted(run.total, 'row')} of {motions}{copies}",
+        f"{out}: {there} of {counted(run.total, 'row')}, {motions}{copies}",
         f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",
     ]
 

@@ -152,8 +152,8 @@ def _opengl_errors() -> Iterator[None]:
         raise SimError(
             f"OpenGL is not available: MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: "
             f"{' '.join(str(error).split())}.",
-            "Install EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri), "
-            "or set MUJOCO_GL to osmesa or glfw before the start.",
+            "Unset MUJOCO_GL and install EGL (Debian, Ubuntu: apt-get install libegl1 libopengl0 "
+            "libgl1-mesa-dri), or set it to osmesa or glfw, which need other libraries.",
         ) from error
 
 

@@ -193,19 +193,22 @@ class Session:
 
     def start(self, arguments: Sequence[str]) -> None:
         with self.said.open("ab") as said, Path(os.devnull).open() as nothing:
+            streams = [nothing.fileno(), said.fileno(), said.fileno()]
+            if self.terminal is not None:
+                streams = [self.terminal] * 3
             # What acts before an interpreter has started needs one of its own.
             own = self.prefix or self.before or self.environment != ENVIRONMENT
             if own or self.terminal is not None:
+                stdin, stdout, stderr = streams
                 self.process = subprocess.Popen(
                     [*self.prefix, sys.executable, "-m", "g1stream", *arguments],
-                    stdin=nothing if self.terminal is None else self.terminal,
-                    stdout=said if self.terminal is None else self.terminal,
-                    stderr=said if self.terminal is None else self.terminal,
+                    stdin=stdin,
+                    stdout=stdout,
+                    stderr=stderr,
                     env=self.environment,
                     preexec_fn=self.before,  # noqa: PLW1509
                 )
             else:
-                streams = [nothing.fileno(), said.fileno(), said.fileno()]
                 self.process = Forked("g1stream.cli.main", arguments, ENVIRONMENT, streams)
         if self.terminal is not None:
             os.close(self.terminal)

@@ -257,10 +257,10 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
     copies = f", {run.copies} duplicates" if run.copies else ""
     known = f", {run.known} known before" if run.known else ""
     there = run.known + run.done
-    missing = f"{run.total - there} missing" if run.computing else "it ended before all were read"
-    more = (
-        "" if run.computing and there == run.total else f", {missing} (run the same command again)"
-    )
+    more = ""
+    if not run.computing or there < run.total:
+        why = f"{run.total - there} missing" if run.computing else "it ended before all were read"
+        more = f", {why} (run the same command again)"
     return [
         f"{out}: {there} of {counted(run.total, 'row')}, {motions}{copies}",
         f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",

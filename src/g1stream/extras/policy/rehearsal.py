@@ -181,10 +181,11 @@ def rehearse_policy(
             stand, longer = _BRIEFLY, own
             own, length = tried("", contract, stand)
         every = [one for one in _changes(contract) if own.reason or "anchor" in one[1]]
-        for left, (about, changes) in zip(reversed(range(len(every))), every, strict=True):
+        for n, (about, changes) in enumerate(every, 1):
+            changed, left = contract.model_copy(update=changes), len(every) - n
             try:
-                near.append(tried(about, contract.model_copy(update=changes), stand, left)[0])
-            except G1StreamError as error:  # noqa: PERF203  the next one may be playable
+                near.append(tried(about, changed, stand, left)[0])
+            except G1StreamError as error:
                 near.append(Trial(contract=about, stood_s=0.0, reason=str(error), playable=False))
     return Rehearsal(
         tried_s=length,
